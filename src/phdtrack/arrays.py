@@ -37,7 +37,10 @@ def chi2_quantile(dof: int, probability: float) -> float:
         half = middle / 2
         odd = 0.5 * (dof % 2)
         # 1 − F, in closed form for whole and half degrees.
-        outside = math.erfc(math.sqrt(half)) if dof % 2 else 0.0
+        if dof % 2:
+            outside = math.erfc(math.sqrt(half))
+        else:
+            outside = 0.0
         outside += sum(
             math.exp(-half) * half ** (k + odd) / math.gamma(k + odd + 1) for k in range(dof // 2)
         )

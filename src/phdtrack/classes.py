@@ -126,7 +126,10 @@ class Kinds:
         """(N,) the class that each detection is tracked as: of those that are tracked together the
         first.
         """
-        label = detections.class_id if self.apart else np.zeros_like(detections.class_id)
+        if self.apart:
+            label = detections.class_id
+        else:
+            label = np.zeros_like(detections.class_id)
         for one, other in self.first.items() if self.apart else ():
             label = np.where(detections.class_id == one, other, label)
         return label
@@ -429,7 +432,10 @@ class Lanes:
             for number, time, warp, observed in self._past:
                 before.advance(Detections.empty(observed=observed), number, time, warp)
         lane = _Lane(stages, copy.deepcopy(before.rng), before.state, together)
-        self._alone = self.highest if len(self._lanes) == 1 else self._alone
+        if len(self._lanes) == 1:
+            self._alone = self.highest
+        else:
+            self._alone = self._alone
         self._lanes[kind] = lane
 
     def _given(self, kind: int, lane: _Lane, rows: Tracks) -> Tracks:

@@ -76,11 +76,15 @@ class Planar:
             )
             bgr = cv2.cvtColor(whole, cv2.COLOR_YUV2BGR_I420)[:height, :width]
             self._image = np.ascontiguousarray(bgr, np.uint8)
-        return self._image if size is None else np.asarray(cv2.resize(self._image, size), np.uint8)
+        if size is None:
+            return self._image
+        return np.asarray(cv2.resize(self._image, size), np.uint8)
 
     def planes(self, size: tuple[int, int] | None = None) -> Image:
         """As `Picture.planes`."""
-        return self._planes.copy() if size in (None, self.size) else planes_of(self.bgr(), size)
+        if size in (None, self.size):
+            return self._planes.copy()
+        return planes_of(self.bgr(), size)
 
     def prepare(self, size: tuple[int, int]) -> None:
         """Nothing is prepared: `planes` has them already."""
@@ -93,11 +97,9 @@ def bgr_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Ima
     if not isinstance(picture, np.ndarray):
         return picture.bgr(size)
     same = size is None or size == picture.shape[1::-1]
-    return (
-        picture
-        if same
-        else np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-    )
+    if same:
+        return picture
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def planes_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Image:

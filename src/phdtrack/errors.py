@@ -74,7 +74,9 @@ def shown(text: str) -> str:
 def _sentence(text: str) -> str:
     """What may be shown of the text, without its middle where it is very long."""
     text = shown(text)
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 4 :]}"
+    if len(text) <= _LONGEST:
+        return text
+    return f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 4 :]}"
 
 
 class InputError(ValueError):
@@ -92,7 +94,10 @@ class InputError(ValueError):
         self.problem = _sentence(problem)
         self.where = _sentence(str(where))
         self.cure = _sentence(cure)
-        text = f"{self.where}: {self.problem}" if self.where else self.problem
+        if self.where:
+            text = f"{self.where}: {self.problem}"
+        else:
+            text = self.problem
         super().__init__(f"{text.rstrip('.')}. {self.cure}" if cure else text)
 
 
@@ -100,7 +105,9 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """The cure for a name that is not among the ``known``: the nearest of them, or all."""
     names = list(known)
     close = difflib.get_close_matches(name, names, 1)
-    return f"Did you mean {close[0]}?" if close else f"There are {', '.join(names) or 'none'}."
+    if close:
+        return f"Did you mean {close[0]}?"
+    return f"There are {', '.join(names) or 'none'}."
 
 
 def needed(module: str) -> Any:
@@ -157,7 +164,10 @@ def bounds(kind: type[Any]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
     for field in fields(kind):
         hint = hints[field.name]
         # Of a tuple all elements have the bounds of the first.
-        hint = get_args(hint)[0] if get_origin(hint) is tuple else hint
+        if get_origin(hint) is tuple:
+            hint = get_args(hint)[0]
+        else:
+            hint = hint
         if get_origin(hint) is Annotated:
             found.append((field.name, get_args(hint)[1:]))
     return tuple(found)

@@ -186,7 +186,10 @@ def parse_toml(path: Path, content: bytes) -> dict[str, Any]:
         # Its own words end in the place.
         reason, _, place = str(error).partition(" (at ")
         number = re.match(r"line (\d+)", place)
-        line = int(number[1]) if number else content.rstrip().count(b"\n") + 1
+        if number:
+            line = int(number[1])
+        else:
+            line = content.rstrip().count(b"\n") + 1
         raise InputError(f"not TOML: {reason}", where=f"{path}, line {line}") from None
 
 
@@ -223,16 +226,16 @@ def lazy(
 def _nearest(path: Path) -> str:
     """The deepest folder of ``path`` that does exist: it shows which part of the name is wrong."""
     folder = next((p for p in path.absolute().parents if p.is_dir()), Path("/"))
-    return (
-        ""
-        if folder == path.absolute().parent
-        else f"The last folder on the way that exists is {folder}."
-    )
+    if folder == path.absolute().parent:
+        return ""
+    return f"The last folder on the way that exists is {folder}."
 
 
 def _inside(path: Path) -> str:
     found = [str(path / name) for name in _USUAL if (path / name).is_file()]
-    return f"Perhaps {' or '.join(found)} is meant." if found else "Name the file in it."
+    if found:
+        return f"Perhaps {' or '.join(found)} is meant."
+    return "Name the file in it."
 
 
 def json_value(value: object) -> Any:
@@ -243,7 +246,9 @@ def json_value(value: object) -> Any:
         case None | bool() | str() | int():
             return value
         case float():
-            return float(value) if math.isfinite(value) else None
+            if math.isfinite(value):
+                return float(value)
+            return None
         case Mapping():
             return {str(k): json_value(v) for k, v in value.items()}
         case list() | tuple() | set() | frozenset():
@@ -253,11 +258,9 @@ def json_value(value: object) -> Any:
         case _:
             import numpy as np
 
-            return (
-                json_value(value.tolist())
-                if isinstance(value, np.generic | np.ndarray)
-                else str(value)
-            )
+            if isinstance(value, np.generic | np.ndarray):
+                return json_value(value.tolist())
+            return str(value)
 
 
 def read_json(path: Path, content: bytes) -> Any:
@@ -362,7 +365,10 @@ def read_xml(path: Path, content: bytes) -> list[Element]:
 def return_memory() -> None:
     """Give memory that was freed back to the system, and let threads share two heaps: glibc has up
     to eight for each core, and keeps in each the pictures that were freed there."""
-    library = ctypes.CDLL(None) if sys.platform == "linux" else None
+    if sys.platform == "linux":
+        library = ctypes.CDLL(None)
+    else:
+        library = None
     if library is not None and getattr(library, "malloc_trim", None) is not None:
         library.mallopt(_M_ARENA_MAX, 2)
         library.mallopt(_M_MMAP_THRESHOLD, _LARGE)

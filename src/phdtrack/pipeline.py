@@ -112,7 +112,10 @@ def advance(
     learned = state.learned
     expected = state.expected
     camera, seen = _seen(stages, state, detections, warp, (number, time))
-    model = learning.model(learned, seen) if learning else seen
+    if learning:
+        model = learning.model(learned, seen)
+    else:
+        model = seen
     pace, dt = _paced(stages, state, time, model)
     began = clock.perf_counter()
     explanation = Explanation.unchanged(detections)
@@ -123,11 +126,12 @@ def advance(
     )
     given = _Given(explanation, measured, np.flatnonzero(np.isfinite(measured).all(axis=0)))
     if detections.observed:
-        weighted = (
-            learning.with_scores(learned, model, explanation.detections.take(given.usable))
-            if learning
-            else model
-        )
+        if learning:
+            weighted = learning.with_scores(
+                learned, model, explanation.detections.take(given.usable)
+            )
+        else:
+            weighted = model
         intensity, info = stages.filter.step(
             state.intensity, given.z, _watching(weighted, state.targets, dt), dt, rng
         )
@@ -152,7 +156,10 @@ def advance(
     )
     learned = learning and learning.advance(learned, step)
     camera = stages.camera and stages.camera.with_targets(camera, estimates)
-    targets = estimates.state if model.sensor.occlusion else NO_STATES
+    if model.sensor.occlusion:
+        targets = estimates.state
+    else:
+        targets = NO_STATES
     after = TrackingState(
         intensity,
         association,
@@ -198,7 +205,10 @@ def _seen(
     """What is known of the camera's motion, and the model of the frame: with the motion that was
     given, or was found.
     """
-    moved = as_warp(warp, f"frame {when[0]}") if len(warp) and state.number else STILL
+    if len(warp) and state.number:
+        moved = as_warp(warp, f"frame {when[0]}")
+    else:
+        moved = STILL
     camera = state.camera
     if stages.camera and state.number:
         interval = (when[1] - state.time) * stages.model.rate
@@ -225,7 +235,9 @@ def run(
 def flush(stages: AnyStages, state: TrackingState) -> Tracks:
     """The online rows that the output delay holds back; none without a delay."""
     tracks = stages.associator.flush(state.association, stages.model)
-    return stages.online.shown(state.shown, tracks)[1] if stages.online else tracks
+    if stages.online:
+        return stages.online.shown(state.shown, tracks)[1]
+    return tracks
 
 
 def finish(stages: AnyStages, state: TrackingState) -> Tracks:
@@ -315,20 +327,18 @@ class _Given:
     @property
     def z(self) -> F8:
         """(m, n) the measurements that the filter is given."""
-        return (
-            np.ascontiguousarray(self.measured[:, self.usable]) if self.unusable else self.measured
-        )
+        if self.unusable:
+            return np.ascontiguousarray(self.measured[:, self.usable])
+        return self.measured
 
     @property
     def numbers(self) -> I8:
         """(n,) the frame's detection that each of them rests on; (0,) where it is given all as they
         are.
         """
-        return (
-            self.explanation.source[self.usable]
-            if self.unusable or self.explanation.changed
-            else ALL
-        )
+        if self.unusable or self.explanation.changed:
+            return self.explanation.source[self.usable]
+        return ALL
 
     def in_terms_of_detections(
         self, info: UpdateInfo, estimates: Estimates, past: tuple[I8, ...]

@@ -229,7 +229,9 @@ class Model:
 
     def warp_states(self, x: F8) -> F8:
         """(d, L) states of the frame before, in the pixels of this one."""
-        return self.motion.warp_states(x, self.warp) if len(self.warp) else x
+        if len(self.warp):
+            return self.motion.warp_states(x, self.warp)
+        return x
 
     def warp_gaussians(self, mean: F8, covariance: F8) -> tuple[F8, F8]:
         """Gaussians (d, L), (L, d, d) of the frame before, in the pixels of this one: to first

@@ -101,7 +101,10 @@ class Tracker:
             if frame_size is None:
                 cure = "Give frame_size=(width, height)"
                 raise InputError("the size of the images is not known", where="Tracker", cure=cure)
-            path = Path(settings) if settings is not None else None
+            if settings is not None:
+                path = Path(settings)
+            else:
+                path = None
             if filter:
                 sections["filter"] = {"kind": filter} if isinstance(filter, str) else filter
             loaded = config.overlay(config.load(path, preset=preset), sections, "Tracker")
@@ -115,7 +118,10 @@ class Tracker:
             raise InputError(
                 "stages are complete; settings beside them would be ignored", where="Tracker"
             )
-        self.kinds = stages if isinstance(stages, Kinds) else Kinds(stages)
+        if isinstance(stages, Kinds):
+            self.kinds = stages
+        else:
+            self.kinds = Kinds(stages)
         self.stages = self.kinds.usual
         self.fps = float(fps)
         self.seed = int(seed)
@@ -164,7 +170,10 @@ class Tracker:
         KeyboardInterrupt : after Ctrl-C, when the frame is done; a second Ctrl-C ends at once.
         """
         last = self._lanes.state
-        number = last.number + 1 if frame is None else _whole(frame, "update(frame=…)")
+        if frame is None:
+            number = last.number + 1
+        else:
+            number = _whole(frame, "update(frame=…)")
         if not 1 <= number <= LAST_FRAME:
             raise InputError(
                 f"expected a frame number from 1 to {LAST_FRAME:,}, got {number}",
@@ -175,12 +184,18 @@ class Tracker:
             time = _number(timestamp, f"frame {number}, update(timestamp=…)")
         found = as_detections(detections, where=f"frame {number}")
         kept, left_out = self.kinds.taken(found, self._lanes.states)
-        moved = STILL if warp is None else as_warp(warp, f"frame {number}, update(warp=…)")
+        if warp is None:
+            moved = STILL
+        else:
+            moved = as_warp(warp, f"frame {number}, update(warp=…)")
         if len(moved):
             from phdtrack.models.scene import refuse_standing
 
             refuse_standing(self.stages.model)
-        given = found.take(kept) if len(kept) < len(found) else found
+        if len(kept) < len(found):
+            given = found.take(kept)
+        else:
+            given = found
         with uninterrupted():
             self._step = self._lanes.advance(given, number, time, moved)
         # What was not asked for is no fault.
@@ -218,7 +233,10 @@ class Tracker:
         start = np.linspace([0.2, 0.55], [0.7, 0.9], n)
         step = np.array([0.004, 0.001])
         for k in range(1, 26):
-            seen = start[rng.random(n) < 0.8] if k % 8 else start[:0]
+            if k % 8:
+                seen = start[rng.random(n) < 0.8]
+            else:
+                seen = start[:0]
             corner = np.vstack([seen + k * step, rng.random((k % 3, 2))]) * size
             box = np.hstack([corner, corner + [0.03, 0.15] * size])
             label = np.resize([*self.kinds.only, *self.kinds.own] or [0], len(box))
@@ -410,7 +428,10 @@ class FinalTracks:
         if step is None:
             return Tracks.empty()
         self._times[step.number] = step.time
-        self._next = step.time + self._lag + self._every if math.isnan(self._next) else self._next
+        if math.isnan(self._next):
+            self._next = step.time + self._lag + self._every
+        else:
+            self._next = self._next
         if step.time < self._next:
             return Tracks.empty()
         self._next = step.time + self._every

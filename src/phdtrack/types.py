@@ -107,14 +107,14 @@ class Detections:
         """
         boxes = np.array(xyxy, dtype=np.float64).reshape(-1, 4)
         n = len(boxes)
-        score = (
-            np.ones(n) if confidence is None else np.array(confidence, dtype=np.float64).reshape(n)
-        )
-        label = (
-            np.zeros(n, np.int64)
-            if class_id is None
-            else np.array(class_id, dtype=np.int64).reshape(n)
-        )
+        if confidence is None:
+            score = np.ones(n)
+        else:
+            score = np.array(confidence, dtype=np.float64).reshape(n)
+        if class_id is None:
+            label = np.zeros(n, np.int64)
+        else:
+            label = np.array(class_id, dtype=np.int64).reshape(n)
         return cls(boxes, score, label)
 
     def __len__(self) -> int:
@@ -122,7 +122,10 @@ class Detections:
 
     def take(self, index: I8 | Bool) -> Detections:
         """The detections at ``index`` (integers or a mask), in that order."""
-        cov = None if self.covariance is None else self.covariance[index]
+        if self.covariance is None:
+            cov = None
+        else:
+            cov = self.covariance[index]
         return Detections(
             self.xyxy[index], self.confidence[index], self.class_id[index], cov, self.observed
         )
@@ -153,7 +156,9 @@ class DetectionTable:
     @property
     def last(self) -> int:
         """The highest frame number, 0 for an empty table."""
-        return int(self.frame[-1]) if len(self.frame) else 0
+        if len(self.frame):
+            return int(self.frame[-1])
+        return 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -394,7 +399,10 @@ class Estimates:
     def take(self, index: I8 | Bool) -> Estimates:
         """The states at ``index`` (integers or a mask), in that order."""
         state = np.ascontiguousarray(self.state[:, index])
-        tag = self.tag[index] if len(self.tag) else self.tag
+        if len(self.tag):
+            tag = self.tag[index]
+        else:
+            tag = self.tag
         boxes = self.xyxy[index]
         found = self.detection[index]
         return Estimates(

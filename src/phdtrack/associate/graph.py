@@ -171,7 +171,10 @@ class GraphMatching(Checked):
 
         Raises `InputError` where a position is not finite.
         """
-        before = state.window if state.vertices else empty_window(len(estimates.state))
+        if state.vertices:
+            before = state.window
+        else:
+            before = empty_window(len(estimates.state))
         window, final = self._linked(before, estimates, dt, model)
         time = state.time + dt
         vertices = state.vertices + len(estimates)
@@ -322,7 +325,10 @@ class GraphMatching(Checked):
             parts += _bridged(known.take(bridging), after[bridging], history, place, model)
             going = (absent & (known.confidence > 0)).nonzero()[0]
             ahead = known.state[:, going]
-            ahead = model.motion.warp_states(ahead, moment.warp) if len(moment.warp) else ahead
+            if len(moment.warp):
+                ahead = model.motion.warp_states(ahead, moment.warp)
+            else:
+                ahead = ahead
             step = moment.time - history[place - 1].time
             ahead, _, _ = model.motion.transition(ahead, step)
             survive = model.motion.p_survive(ahead, step / model.rate)
@@ -501,7 +507,10 @@ def _return_probability(p_survive: F8, p_detect: F8, returned: I8) -> list[float
     for asked, came in zip(*returned.tolist(), strict=True):
         there = exists * stays
         out.append((came + there * seen) / (asked + 1.0))
-        exists = there * (1.0 - seen) / (1.0 - there * seen) if there * seen < 1.0 else 0.0
+        if there * seen < 1.0:
+            exists = there * (1.0 - seen) / (1.0 - there * seen)
+        else:
+            exists = 0.0
     for age in range(len(out) - 1, -1, -1):
         never *= 1.0 - out[age]
         out[age] = 1.0 - never

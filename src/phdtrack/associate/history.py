@@ -68,9 +68,9 @@ class History:
         gone = 0
         while gone < len(self.full) and self.full[gone][-1].time < time:
             gone += 1
-        return (
-            History(self.full[gone:], self.recent, self.forgotten + CHUNK * gone) if gone else self
-        )
+        if gone:
+            return History(self.full[gone:], self.recent, self.forgotten + CHUNK * gone)
+        return self
 
     def __len__(self) -> int:
         return self.forgotten + CHUNK * len(self.full) + len(self.recent)
@@ -89,11 +89,9 @@ class History:
 def open_links(window: Window, most: int | None = None) -> Links:
     """The links of the window's rows, or of the first ``most`` of them."""
     linked = (window.previous[:most] >= 0).nonzero()[0]
-    return (
-        Links(window.row + linked, window.previous[linked], window.gain[linked])
-        if len(linked)
-        else NO_LINKS
-    )
+    if len(linked):
+        return Links(window.row + linked, window.previous[linked], window.gain[linked])
+    return NO_LINKS
 
 
 def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
@@ -155,7 +153,10 @@ def rows_of(
         (x, p), (y, q) = (
             _states(every, place[end], (at - start[place])[end]) for end in (n, n + 1)
         )
-        warps = [moment.warp for moment in moments[k + 1 : k + length + 2]] if k >= 0 else []
+        if k >= 0:
+            warps = [moment.warp for moment in moments[k + 1 : k + length + 2]]
+        else:
+            warps = []
         between = bridge(model.motion, (x, p, y, q), np.array(steps), warps).reshape(x.shape[1], -1)
         numbers = number[(place[n][:, None] + np.arange(1, length + 1)).ravel()]
         sure = np.repeat(np.minimum(weight[n], weight[n + 1]), length)

@@ -126,7 +126,9 @@ class LabelledState:
 
     def __getitem__(self, place: int) -> Moment:
         settled = len(self.history)
-        return self.history[place] if place < settled else self.recent[place - settled]
+        if place < settled:
+            return self.history[place]
+        return self.recent[place - settled]
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,11 +192,10 @@ class Labelled(Checked):
             history = history.append(moment)
         table = state.table.including(changed).counting(state.recent[:settled])
         present = table.counting((*recent, now))
-        followed = (
-            self._followed(state.followed, now, present, dt, model)
-            if self.coast_by_evidence
-            else state.followed
-        )
+        if self.coast_by_evidence:
+            followed = self._followed(state.followed, now, present, dt, model)
+        else:
+            followed = state.followed
         extended = LabelledState(history, (*recent, now), table, time, state.used, followed)
         due = len(extended) - 1 - self.output_delay
         if due < 0:
@@ -318,9 +319,14 @@ def _one_each(e: Estimates) -> Estimates:
             where="associate.kind=labelled",
             cure="Use associate.kind=graph, or a filter that labels targets",
         )
-    single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag) if e.past else e
+    if e.past:
+        single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag)
+    else:
+        single = e
     if (e.tag[1:] > e.tag[:-1]).all():
         return single
     heaviest = np.argsort(-e.weight, kind="stable")
     _, first = np.unique(e.tag[heaviest], return_index=True)
-    return single if len(first) == len(e) else single.take(np.sort(heaviest[first]))
+    if len(first) == len(e):
+        return single
+    return single.take(np.sort(heaviest[first]))

@@ -128,9 +128,10 @@ class FalseTrackRejection(Checked, Generic[A]):
         """(n,) rows that the associator has ``confirmed`` and whose track is not false, or that are
         confirmed at once.
         """
-        limit = (
-            math.log(self.immediate_confirmation) if self.immediate_confirmation > 0 else -math.inf
-        )
+        if self.immediate_confirmation > 0:
+            limit = math.log(self.immediate_confirmation)
+        else:
+            limit = -math.inf
         return np.asarray((confirmed & (least[0] < 0)) | (least[1] < limit))
 
 

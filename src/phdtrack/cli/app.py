@@ -78,7 +78,10 @@ class _Passing(TyperCommand):
     """A command that finds what follows ``--`` in ``args`` of its context."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        end = args.index("--") if "--" in args else len(args)
+        if "--" in args:
+            end = args.index("--")
+        else:
+            end = len(args)
         rest = super().parse_args(ctx, args[:end])
         ctx.args = args[end + 1 :]
         return rest
@@ -103,7 +106,10 @@ def guarded(command: Command) -> Command:
             # The reader of our output has gone (phdtrack ... | head): nothing can be said.
             raise
         except OSError as error:
-            where = f"{error.filename}: " if error.filename else ""
+            if error.filename:
+                where = f"{error.filename}: "
+            else:
+                where = ""
             raise failed(f"{where}{error.strerror or error}", 1) from error
 
     return run
@@ -184,7 +190,10 @@ def main() -> None:
         # One sentence for a command line that cannot be read, and where its help stands.
         where = getattr(error, "ctx", None)
         sentence = " ".join(error.format_message().split())
-        end = "" if sentence.endswith((".", "?")) else "."
+        if sentence.endswith((".", "?")):
+            end = ""
+        else:
+            end = "."
         status = failed(
             f"{sentence}{end} See {where.command_path if where else 'phdtrack'} --help.", 2
         ).exit_code

@@ -162,7 +162,10 @@ class Video:
         if self.rows is not None:
             self.rows.unlink(missing_ok=True)
         write_run(directory.file(DOCUMENT), decided)
-        subject = ["--detections"] if Path(self.source).suffix.lower() in TABLES else []
+        if Path(self.source).suffix.lower() in TABLES:
+            subject = ["--detections"]
+        else:
+            subject = []
         words = ["track", *subject, self.source, "--out", str(self.folder), *self.options]
         # run.json says how to do the same by hand.
         sys.argv = ["phdtrack", *words]
@@ -278,11 +281,10 @@ def batch(
 
     try:
         for todo in filter(None, left()):
-            work = (
-                on_ray(todo, jobs, address)
-                if engine == "ray"
-                else outcomes(todo, cores, apart=True)
-            )
+            if engine == "ray":
+                work = on_ray(todo, jobs, address)
+            else:
+                work = outcomes(todo, cores, apart=True)
             names_of = [one.name for one in todo]
             _follow(
                 output,
@@ -410,7 +412,10 @@ def planned(
         ]
         places = root / RUNS / name, root / ROWS / f"{name}.parquet"
         video = Video(name, source, tuple(words), Path.cwd(), *places, _digest(decided), anew)
-        segments = _segments(video, known, cutting) if length else []
+        if length:
+            segments = _segments(video, known, cutting)
+        else:
+            segments = []
         if len(segments) > 1:
             parts = tuple(_part(video, one, root / SEGMENTS / name, decided) for one in segments)
             video = replace(video, parts=parts, digest=_digest([decided, segments]))
@@ -467,7 +472,10 @@ def expanded(word: str) -> Iterator[str]:
         )
     path = Path(word)
     files = [word]
-    image = lambda name: Path(name).suffix.lower() in SUFFIXES
+
+    def image(name: str | Path) -> bool:
+        return Path(name).suffix.lower() in SUFFIXES
+
     if path.is_dir() and not any(map(image, path.iterdir())):
         files = [
             name
@@ -476,7 +484,10 @@ def expanded(word: str) -> Iterator[str]:
         ]
     elif not path.exists() and set(word) & set("*?["):
         files = glob.glob(word, recursive=True)
-        files = [word] if files and all(map(image, files)) else files
+        if files and all(map(image, files)):
+            files = [word]
+        else:
+            files = files
     if files != [word]:
         # Not the annotated videos of runs.
         files = sorted(name for name in files if os.path.basename(name) not in rundir.RUN_FILES)
@@ -494,8 +505,14 @@ def names(sources: Sequence[str]) -> list[str]:
     parts = []
     for source in sources:
         path = Path(source)
-        path = path.parent if set(path.name) & set("*?[") and not path.exists() else path
-        path = path.parent if path.name == "img1" else path  # of MOTChallenge
+        if set(path.name) & set("*?[") and not path.exists():
+            path = path.parent
+        else:
+            path = path
+        if path.name == "img1":
+            path = path.parent
+        else:
+            path = path
         parts.append((path if path.is_dir() else path.with_suffix("")).parts[1:])
     for depth in range(1, max(map(len, parts)) + 1):
         # Tools that read a folder of Parquet files pass over names that begin so.

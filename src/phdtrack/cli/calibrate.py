@@ -45,7 +45,10 @@ def calibrate(
 
     The file that it writes is what --camera of other commands takes.
     """
-    size = frame_size(image_size) if image_size else None
+    if image_size:
+        size = frame_size(image_size)
+    else:
+        size = None
     if out.exists() and not overwrite:
         raise InputError(
             "the file is there already",
@@ -56,7 +59,10 @@ def calibrate(
     pixel = np.ascontiguousarray(table[:, :2].T)
     world = np.ascontiguousarray(table[:, 2:4].T)
     unknown: Bool = np.logical_not(np.isfinite(table).all(axis=1))
-    height = np.zeros(len(table)) if table.shape[1] < 5 else table[:, 4]
+    if table.shape[1] < 5:
+        height = np.zeros(len(table))
+    else:
+        height = table[:, 4]
     flat = (
         "A homography knows flat ground only: leave out points above it, or calibrate with OpenCV."
     )

@@ -100,7 +100,9 @@ class Checkpoint:
     @property
     def number(self) -> int:
         """The frame from which on is detected; 0 where that is the first."""
-        return self.known.number + 1 if self.known else 0
+        if self.known:
+            return self.known.number + 1
+        return 0
 
     def detected(
         self, inputs: Inputs, frames: Iterable[Frame], mover: Mover | None
@@ -286,25 +288,26 @@ def source_of(path: str) -> list[object]:
                 (one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in file.iterdir()
             ),
         ]
-    return [path, file.stat().st_size, file.stat().st_mtime_ns] if file.exists() else [path]
+    if file.exists():
+        return [path, file.stat().st_size, file.stat().st_mtime_ns]
+    return [path]
 
 
 def _text(key: Key) -> str:
     """What decides a result, as text; empty for nothing."""
-    return (
-        ""
-        if not key
-        else json.dumps(
-            json_value({"version": __version__, "format": FORMAT, **key}), sort_keys=True
-        )
-    )
+    if not key:
+        return ""
+    return json.dumps(json_value({"version": __version__, "format": FORMAT, **key}), sort_keys=True)
 
 
 def _plain(one: Detected) -> dict[str, Any]:
     """What a block of the log holds."""
     found = one.found
     arrays = {"xyxy": found.xyxy, "confidence": found.confidence, "class_id": found.class_id}
-    more = {} if found.covariance is None else {"covariance": found.covariance}
+    if found.covariance is None:
+        more = {}
+    else:
+        more = {"covariance": found.covariance}
     state = {
         "number": one.frame.number,
         "time": one.frame.time,

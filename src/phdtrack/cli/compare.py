@@ -214,7 +214,9 @@ def doubts(comparison: Comparison) -> tuple[str, ...]:
         if isinstance(result, RunResult) and result.warning
     ]
     each = tuple(dict.fromkeys(said))
-    more = (
-        (f"and {len(each) - MOST_WARNINGS} more, see {EACH}",) if len(each) > MOST_WARNINGS else ()
-    )
+    more: tuple[str, ...]
+    if len(each) > MOST_WARNINGS:
+        more = (f"and {len(each) - MOST_WARNINGS} more, see {EACH}",)
+    else:
+        more = ()
     return (*each[:MOST_WARNINGS], *more)

@@ -111,7 +111,10 @@ def count(
         )
     settings = chosen(options, scene_settings(to.scene), detector=source.looked_by)
     job = prepare(source, options, settings, to, video=False)
-    video = replace(job.inputs.source) if job.inputs.pictures else None
+    if job.inputs.pictures:
+        video = replace(job.inputs.source)
+    else:
+        video = None
     observer = CountObserver(
         replace(watch, names=job.names or {}),
         job.inputs.info,
@@ -154,7 +157,10 @@ def _count_known(
     there = (
         bool(address) and comes_again(address) and (bool(source.source) or Path(address).exists())
     )
-    video = open_source(address, fps=source.fps) if there else None
+    if there:
+        video = open_source(address, fps=source.fps)
+    else:
+        video = None
     if video is not None:
         info = replace(video.info, frames=info.frames)
     elif source.frame_size:
@@ -327,7 +333,10 @@ class CountObserver(RunObserver):
 
     def _cells(self, event: Event) -> tuple[Any, ...]:
         """The columns of an event."""
-        stay = "" if math.isnan(event.seconds) else f"{event.seconds:.2f}"
+        if math.isnan(event.seconds):
+            stay = ""
+        else:
+            stay = f"{event.seconds:.2f}"
         inside = event.occupancy
         words = (
             event.place,
@@ -345,18 +354,19 @@ class CountObserver(RunObserver):
         image = NO_PICTURE
         near = self._tracks
         if self._video is not None:
-            middle = None if self._first > 1 else next(iter(self._video.sample(1)), None)
+            if self._first > 1:
+                middle = None
+            else:
+                middle = next(iter(self._video.sample(1)), None)
             middle = middle or next(iter(replace(self._video, first=self._first)))
             image = middle.image
             at = round(middle.time * self._info.fps) + 1
             near = near.take(np.abs(near.frame - at) <= 2)
         elif width and height:
             image = np.full((height, width, 3), 46, np.uint8)
-        return (
-            drawn(pixelated(image, near.xyxy, self._blur), self._watch.places, self._events)
-            if image.size
-            else image
-        )
+        if image.size:
+            return drawn(pixelated(image, near.xyxy, self._blur), self._watch.places, self._events)
+        return image
 
 
 def drawn(image: Image, places: Sequence[Place], events: Sequence[Event]) -> Image:
@@ -372,7 +382,10 @@ def drawn(image: Image, places: Sequence[Place], events: Sequence[Event]) -> Ima
     out = np.asarray(cv2.addWeighted(sheet, 0.25, image, 0.75, 0), np.uint8)
     counts = Counter((event.place, event.direction or event.kind) for event in events)
     for place, points in zip(places, corners, strict=True):
-        colour = _ZONE_COLOUR if place.closed else _LINE_COLOUR
+        if place.closed:
+            colour = _ZONE_COLOUR
+        else:
+            colour = _LINE_COLOUR
         for width, paint in ((wide + 2, _DARK), (wide, colour)):
             cv2.polylines(out, [points], place.closed, paint, width, cv2.LINE_AA)
             if not place.closed:
@@ -405,7 +418,10 @@ def _places(asked: CountOptions) -> tuple[Place, ...]:
     """The lines and zones of the options. Raises `InputError` where there are none, or one cannot
     be used.
     """
-    tables = {} if asked.places is None else read_toml(asked.places)
+    if asked.places is None:
+        tables = {}
+    else:
+        tables = read_toml(asked.places)
     found = list(places_of(tables, str(asked.places)))
     for option_, texts, closed in (("--line", asked.line, False), ("--zone", asked.zone, True)):
         for text in texts or ():
@@ -415,7 +431,10 @@ def _places(asked: CountOptions) -> tuple[Place, ...]:
             except ValueError:
                 values = []
             if not name or not values or len(values) % 2:
-                form = "NAME=x1,y1,x2,y2,x3,y3,…" if closed else "NAME=x1,y1,x2,y2"
+                if closed:
+                    form = "NAME=x1,y1,x2,y2,x3,y3,…"
+                else:
+                    form = "NAME=x1,y1,x2,y2"
                 raise InputError(f"expected {form} in pixels, got {text!r}", where=option_)
             found.append(Place(name, tuple(zip(values[::2], values[1::2], strict=True)), closed))
     names = Counter(place.name for place in found)

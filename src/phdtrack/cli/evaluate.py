@@ -106,8 +106,14 @@ def evaluate(
         return
     annotated = read_truth(truth, kitti=asked.kitti)
     found = read_tracks(tracks, kitti=asked.kitti)
-    annotated = annotated if asked.ignore is None else ignoring(annotated, asked.ignore)
-    known = None if frames else find_seqinfo(truth)
+    if asked.ignore is None:
+        annotated = annotated
+    else:
+        annotated = ignoring(annotated, asked.ignore)
+    if frames:
+        known = None
+    else:
+        known = find_seqinfo(truth)
     if known is not None:
         frames = max(known.frames, int(max([*annotated.frame, *found.frame], default=0)))
     if not len(annotated):
@@ -131,7 +137,10 @@ def evaluate(
     if rmse:
         document["RMSE"] = located_errors(output, annotated, found, rmse)
     if asked.errors:
-        detections = None if asked.detections is None else read_detections(asked.detections)
+        if asked.detections is None:
+            detections = None
+        else:
+            detections = read_detections(asked.detections)
         errors = explain(annotated, found, detections, frames=scores.frames, iou=iou)
         error_tables(output, errors, asked.worst)
         document["errors"] = errors.as_dict(asked.worst)
@@ -148,7 +157,10 @@ def per_class(
         )
     annotated = read_truth_by_class(truth)
     found, names = read_tracks_named(tracks)
-    known = None if frames else find_seqinfo(truth)
+    if frames:
+        known = None
+    else:
+        known = find_seqinfo(truth)
     last = max(
         [found.frame.max(initial=0), *(one.frame.max(initial=0) for one in annotated.values())]
     )
@@ -160,7 +172,10 @@ def per_class(
     scores = {}
     for word, name in words.items():
         given = next((one for key, one in annotated.items() if key.lower() == word), NO_TRUTH)
-        given = given if asked.ignore is None else ignoring(given, asked.ignore)
+        if asked.ignore is None:
+            given = given
+        else:
+            given = ignoring(given, asked.ignore)
         mine = found.take(label == word)
         if len(mine) or len(given):
             scores[name] = score(given, mine, frames=frames, iou=iou)

@@ -100,7 +100,10 @@ def groups(
     stages = job.stages
     info = job.inputs.info
     reach = settings.build("camera").max_distance
-    model = stages.model if settings.kind("motion") == "plane" else ground_model(settings, info)
+    if settings.kind("motion") == "plane":
+        model = stages.model
+    else:
+        model = ground_model(settings, info)
     grouping = build_groups(settings, stages)
     observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, reach))
     # A group may have members of several classes.
@@ -167,7 +170,10 @@ def _read_edges(path: Path | None) -> tuple[F8, ...]:
     Raises `InputError` where the file is missing, or a line is not two numbers.
     """
     edges: list[list[tuple[float, float]]] = [[]]
-    text = load(path).decode("utf-8-sig", errors="replace") if path is not None else ""
+    if path is not None:
+        text = load(path).decode("utf-8-sig", errors="replace")
+    else:
+        text = ""
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].replace(",", " ").split()
         if not words:
@@ -220,7 +226,10 @@ class GroupObserver(RunObserver):
         self._edges = edges
         self._world = world
         sensor = world.ground.sensor
-        self._camera = sensor.camera if isinstance(sensor, PlaneSensor) else None
+        if isinstance(sensor, PlaneSensor):
+            self._camera = sensor.camera
+        else:
+            self._camera = None
         self._field = _NOWHERE
         if self._camera is not None:
             self._field = footprint(self._camera, (info.width, info.height), world.max_distance)
@@ -249,11 +258,10 @@ class GroupObserver(RunObserver):
         # What stopped the run may have come between tracking a frame and taking it in here.
         known = tracks.take(np.isin(tracks.frame, [seen.number for seen in self._seen]))
         grouping = self._groups.grouping
-        found = (
-            self._by_pairs(known, grouping)
-            if isinstance(grouping, Pairs)
-            else self._of_intensity(known, grouping)
-        )
+        if isinstance(grouping, Pairs):
+            found = self._by_pairs(known, grouping)
+        else:
+            found = self._of_intensity(known, grouping)
         with ExitStack() as files, progress("grouping", len(self._seen)) as advance:
             tables = {name: files.enter_context(Lines(directory.file(name))) for name in _HEADS}
             for name, head in _HEADS.items():
@@ -315,11 +323,10 @@ class GroupObserver(RunObserver):
             values = ",".join(
                 f"{value:.7g}" for value in (found.count[g], found.deviation[g], *found.mean[:, g])
             )
-            image = (
-                _EMPTY
-                if camera is None
-                else _polygons(rings, [_in_image(camera, ring) for ring in rings])
-            )
+            if camera is None:
+                image = _EMPTY
+            else:
+                image = _polygons(rings, [_in_image(camera, ring) for ring in rings])
             write[rundir.GROUPS](
                 f'{n},{at},{frame.identity[g]},{values},"{_polygons(rings, rings)}","{image}"'
             )
@@ -351,9 +358,15 @@ class GroupObserver(RunObserver):
 
         def draw(number: int, picture: Image) -> None:
             scene = scenes.get(number)
-            drawn = plan.ground if scene is None else plan.draw(scene)
+            if scene is None:
+                drawn = plan.ground
+            else:
+                drawn = plan.draw(scene)
             if left:
-                shown = picture if scene is None else self._with_contours(picture, scene.frame)
+                if scene is None:
+                    shown = picture
+                else:
+                    shown = self._with_contours(picture, scene.frame)
                 drawn = np.hstack([cv2.resize(shown, (left, plan.height)), drawn])
             video.write(drawn)
 
@@ -439,7 +452,9 @@ def _in_image(camera: Camera, ring: F8) -> F8:
     seen = pixel[:, np.isfinite(pixel).all(axis=0)]
     if seen.shape[1] < 3:
         return _NOWHERE
-    return seen if np.array_equal(seen[:, 0], seen[:, -1]) else np.hstack([seen, seen[:, :1]])
+    if np.array_equal(seen[:, 0], seen[:, -1]):
+        return seen
+    return np.hstack([seen, seen[:, :1]])
 
 
 def _polygons(rings: Sequence[F8], drawn: Sequence[F8]) -> str:
@@ -458,11 +473,13 @@ def _polygons(rings: Sequence[F8], drawn: Sequence[F8]) -> str:
         )
         if around is not None:
             outer[around].append(text[k])
-    return (
-        "MULTIPOLYGON (" + ", ".join("(" + ", ".join(part) + ")" for part in outer.values()) + ")"
-        if outer
-        else _EMPTY
-    )
+    if outer:
+        return (
+            "MULTIPOLYGON ("
+            + ", ".join("(" + ", ".join(part) + ")" for part in outer.values())
+            + ")"
+        )
+    return _EMPTY
 
 
 def _inside(point: F8, ring: F8) -> bool:

@@ -134,7 +134,10 @@ def expected(source: VideoSource, done: int, title: str) -> dict[str, Any]:
     is cut short. Without it, it is estimated."""
     before = source.first - 1
     done = done + source.first - 1
-    estimate = round(done / source.share) if source.share > _ENOUGH else 0
+    if source.share > _ENOUGH:
+        estimate = round(done / source.share)
+    else:
+        estimate = 0
     cut = source.share > _CERTAIN and done < _CUT * source.share * source.announced
     total = source.info.frames or (0 if cut or done > source.announced else source.announced)
     end = min(filter(None, (total or estimate, source.last)), default=before)
@@ -208,9 +211,15 @@ def open_inputs(
     }
     problem = f"the detections come from {path}, so there is no detector that this could change"
     refuse(useless, problem, "--detections")
-    left_out = None if given.on_error == "stop" else WrongRows()
+    if given.on_error == "stop":
+        left_out = None
+    else:
+        left_out = WrongRows()
     table = read_detections(path, left_out=left_out)
-    frames = _video(given, part) if pictures else _blank(given, path, table, last)
+    if pictures:
+        frames = _video(given, part)
+    else:
+        frames = _blank(given, path, table, last)
     frames.first, frames.last = part
     seen, warnings = within_frame(table, frames.info, path)
     warnings = (*(left_out.sentences() if left_out else ()), *warnings)
@@ -219,12 +228,15 @@ def open_inputs(
     found = Inputs(
         frames.info, frames, TableDetector(seen), name, str(path), pictures, again, warnings
     )
-    found = replace(found, left_out=left_out.document()) if left_out else found
+    if left_out:
+        found = replace(found, left_out=left_out.document())
+    else:
+        found = found
     latest = int(seen.frame.max(initial=0))
     found = replace(found, last_detected=min(latest, part[1] or latest))
-    return (
-        replace(found, names=seen.names, classes=classes) if seen.names or classes - {0} else found
-    )
+    if seen.names or classes - {0}:
+        return replace(found, names=seen.names, classes=classes)
+    return found
 
 
 def _streamed(given: SourceOptions) -> Inputs:
@@ -256,11 +268,12 @@ def _streamed(given: SourceOptions) -> Inputs:
         for table in stream_detections(sys.stdin.buffer, "standard input"):
             inside = share_inside(table.detections.xyxy, width, height) > 0
             empty += int((~inside).sum()) + table.empty
-            source.problem = (
-                f"{counted(empty, 'box')} without area or outside of the frame left out"
-                if empty
-                else ""
-            )
+            if empty:
+                source.problem = (
+                    f"{counted(empty, 'box')} without area or outside of the frame left out"
+                )
+            else:
+                source.problem = ""
             for number in np.unique(table.frame).tolist():
                 waiting[number] = table.detections.take(
                     np.flatnonzero(inside & (table.frame == number))
@@ -308,11 +321,10 @@ def _video(given: SourceOptions, part: Part) -> VideoSource:
     """The video; its own size holds, and another one in the options is a mistake."""
     first, last = part
     again = comes_again(given.source)
-    source = (
-        open_source(given.source, fps=given.fps, first=first, last=last)
-        if again
-        else _camera(given.source)
-    )
+    if again:
+        source = open_source(given.source, fps=given.fps, first=first, last=last)
+    else:
+        source = _camera(given.source)
     if given.frame_size and frame_size(given.frame_size) != (source.info.width, source.info.height):
         size = f"{source.info.width}x{source.info.height}"
         problem = f"{given.source} has frames of {size} pixels, not {given.frame_size}"
@@ -432,7 +444,10 @@ def _detector(given: SourceOptions, parameters: dict[str, Any], max_width: int) 
         # In the user's own words: detector.min_area, not the record of settings that refused the
         # value.
         setting = error.where.rpartition(".")[2]
-        where = f"detector.{setting}" if setting in parameters else error.where or "--detector"
+        if setting in parameters:
+            where = f"detector.{setting}"
+        else:
+            where = error.where or "--detector"
         raise InputError(error.problem, where=where, cure=error.cure) from error
 
 

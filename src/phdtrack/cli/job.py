@@ -119,7 +119,9 @@ class Job:
     @property
     def names(self) -> Mapping[int, str] | None:
         """What classes are called; None without classes."""
-        return None if self.inputs.names is None or not self.kinds.apart else self.kinds.names
+        if self.inputs.names is None or not self.kinds.apart:
+            return None
+        return self.kinds.names
 
 
 class Outcome(NamedTuple):
@@ -184,7 +186,9 @@ class _Progress:
     @property
     def last(self) -> int:
         """The number of the last frame that went through, 0 where none did."""
-        return self.seen[-1].number if self.seen else 0
+        if self.seen:
+            return self.seen[-1].number
+        return 0
 
 
 def about(title: str, seed: int = 0) -> About:
@@ -404,11 +408,18 @@ class _Written:
         self._online = TracksWriter(directory.file(rundir.ONLINE), job.names)
         # Of a source that may never end tracks go to disk when they are final, and the past is
         # forgotten.
-        self._corrected = None if again else TracksWriter(directory.file(rundir.TRACKS), job.names)
-        self._final = None if again else FinalTracks(done.tracker)
-        self._once = (
-            None if again or not (job.video and job.inputs.pictures) else _DrawnOnce(job, directory)
-        )
+        if again:
+            self._corrected = None
+        else:
+            self._corrected = TracksWriter(directory.file(rundir.TRACKS), job.names)
+        if again:
+            self._final = None
+        else:
+            self._final = FinalTracks(done.tracker)
+        if again or not (job.video and job.inputs.pictures):
+            self._once = None
+        else:
+            self._once = _DrawnOnce(job, directory)
         for writer in (self._detections, self._states, self._online, self._corrected, self._once):
             # What goes wrong when it is closed must not take with it what was computed.
             files.enter_context(done.saving())
@@ -485,12 +496,14 @@ class _Drawing:
         planes = self._planes and not isinstance(frame.picture, np.ndarray)
         size = self.size
         # A picture keeps BGR of its own size only.
-        own = None if size == size_of(frame) else size
-        image = (
-            planes_of(frame.picture, own).reshape(-1, size[0])
-            if planes
-            else bgr_of(frame.picture, own)
-        )
+        if size == size_of(frame):
+            own = None
+        else:
+            own = size
+        if planes:
+            image = planes_of(frame.picture, own).reshape(-1, size[0])
+        else:
+            image = bgr_of(frame.picture, own)
         rows = replace(rows, xyxy=rows.xyxy * self._factor)
         found = replace(seen.detections, xyxy=seen.detections.xyxy * self._factor)
         return self._annotate(
@@ -570,7 +583,10 @@ def _draw(
             if not draw:
                 return
             end = math.inf
-            shortly = _SHORTLY if isinstance(done.stop, KeyboardInterrupt) else math.inf
+            if isinstance(done.stop, KeyboardInterrupt):
+                shortly = _SHORTLY
+            else:
+                shortly = math.inf
             try:
                 for count, (seen, picture) in enumerate(
                     zip(done.seen, pictures, strict=False), start=1
@@ -579,7 +595,10 @@ def _draw(
                         one(seen.number, picture)
                     advance(count, total=done.frames, description="drawing")
                     # Without the first one, for which kernels are loaded.
-                    end = time.monotonic() + shortly if count == 1 else end
+                    if count == 1:
+                        end = time.monotonic() + shortly
+                    else:
+                        end = end
                     if time.monotonic() >= end and count < done.frames:
                         done.drawn = seen.number
                         break
@@ -608,11 +627,9 @@ def _annotated(
 
 def _as_meant(stop: Stop) -> Stop:
     """Ctrl-C, in whatever form it comes out of compiled code, or the error itself."""
-    return (
-        KeyboardInterrupt()
-        if interrupted(stop) and not isinstance(stop, KeyboardInterrupt)
-        else stop
-    )
+    if interrupted(stop) and not isinstance(stop, KeyboardInterrupt):
+        return KeyboardInterrupt()
+    return stop
 
 
 def _problems(job: Job, done: _Progress) -> Iterator[str]:
@@ -620,7 +637,10 @@ def _problems(job: Job, done: _Progress) -> Iterator[str]:
     run.
     """
     yield from filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost))
-    annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
+    if job.truth is None:
+        annotated = 0
+    else:
+        annotated = int(job.truth.frame.max(initial=0))
     asked = f"stopped by {signals.which()}"
     why = [asked if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
     yield from lines(
@@ -640,4 +660,6 @@ def places(sensor: Sensor, xyxy: F8) -> F8:
     where there is none.
     """
     plane = isinstance(sensor, PlaneSensor)
-    return sensor.measure(Detections.of(xyxy))[:2] if plane else np.full((2, len(xyxy)), np.nan)
+    if plane:
+        return sensor.measure(Detections.of(xyxy))[:2]
+    return np.full((2, len(xyxy)), np.nan)

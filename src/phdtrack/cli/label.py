@@ -92,7 +92,10 @@ def label(
     settings = load(config, sets or ())
     file = labels or labels_file(source)
     found = to_label(source, settings.values("detector"), file, output)
-    read = read_annotated(taken) if taken else None
+    if taken:
+        read = read_annotated(taken)
+    else:
+        read = None
     if out and not read and not file.exists():
         raise InputError(
             "there is no such file of labels", where=file, cure="Make one: phdtrack label"
@@ -114,7 +117,10 @@ def label(
     pictures = _stills(source, numbers, around, partial(_shown, found.table, blur))
     address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key, store.ports)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
-    work = Background(partial(_suggestions, found, settings, numbers, kept)) if suggest else None
+    if suggest:
+        work = Background(partial(_suggestions, found, settings, numbers, kept))
+    else:
+        work = None
     command = _learn_command(source, file, {"config": config, "set": sets, "blur": blur})
     session = Session(store, found.table, pictures, found.info, work, command, labeller)
     state = store.progress()
@@ -219,7 +225,10 @@ def to_label(
     output.warn(inputs.warnings)
     if labels.parent == _RUNS:
         _RUNS.mkdir(exist_ok=True)
-    left_out = None if source.on_error == "stop" else WrongRows()
+    if source.on_error == "stop":
+        left_out = None
+    else:
+        left_out = WrongRows()
     table = read_detections(
         source.detections or _kept_detections(source, parameters, labels, inputs, output),
         left_out=left_out,
@@ -287,11 +296,10 @@ def _stills(
             if whole or frame.number in around:
                 small = not whole and width > _CLIP_WIDTH
                 image = shown(frame)
-                image = (
-                    cv2.resize(image, (_CLIP_WIDTH, round(height * _CLIP_WIDTH / width)))
-                    if small
-                    else image
-                )
+                if small:
+                    image = cv2.resize(image, (_CLIP_WIDTH, round(height * _CLIP_WIDTH / width)))
+                else:
+                    image = image
                 _, data = cv2.imencode(
                     ".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92 if whole else 80]
                 )
@@ -344,7 +352,9 @@ def labels_file(source: SourceOptions) -> Path:
             "nothing to label", where="SOURCE", cure="Name a video, or say --detections FILE"
         )
     beside = path.with_name(f"{path.stem if path.is_file() else path.name}.labels.sqlite")
-    return beside if beside.exists() else _RUNS / beside.name
+    if beside.exists():
+        return beside
+    return _RUNS / beside.name
 
 
 def learn(

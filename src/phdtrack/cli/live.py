@@ -210,7 +210,10 @@ class Maker:
             for name, one in values.items()
             if name.endswith(".kind") or name.startswith(_FIXED)
         }
-        groups = config.build_groups(found, kinds.usual) if ground else None
+        if ground:
+            groups = config.build_groups(found, kinds.usual)
+        else:
+            groups = None
         delay = found.build("associate").output_delay
         return Making(looking, kinds, info, delay, fixed, groups, self.options.seed)
 
@@ -255,7 +258,9 @@ def _places(given: Sequence[str], name: str, out: Path) -> Path:
     """The file of lines and zones of a camera."""
     own = [one.removeprefix(f"{name}=") for one in given if one.startswith(f"{name}=")]
     all_ = [one for one in given if not re.match(r"[A-Za-z0-9][A-Za-z0-9._-]*=", one)]
-    return Path([*all_, *own][-1]) if own or all_ else out / name / "places.toml"
+    if own or all_:
+        return Path([*all_, *own][-1])
+    return out / name / "places.toml"
 
 
 def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:
@@ -332,7 +337,10 @@ def _attend(
 def _print(lines: queue.Queue[dict[str, object]], output: Output, wait: float = 0.0) -> None:
     """All lines that are there; waits for the first."""
     with suppress(queue.Empty):
-        line = lines.get(timeout=wait) if wait else lines.get_nowait()
+        if wait:
+            line = lines.get(timeout=wait)
+        else:
+            line = lines.get_nowait()
         while output.json:
             print(json.dumps(json_value(line), ensure_ascii=False, allow_nan=False), flush=True)
             line = lines.get_nowait()

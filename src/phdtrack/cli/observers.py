@@ -109,7 +109,9 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
         # pixels.
         with suppress(InputError):
             refuse_standing(model)
-            return None if isinstance(model.sensor, PlaneSensor) else _shaking()
+            if isinstance(model.sensor, PlaneSensor):
+                return None
+            return _shaking()
         return None
     refuse_standing(model)
     if kind == "flow":
@@ -145,6 +147,8 @@ def _shaking() -> Mover:
         nonlocal before
         last = before
         before = pose if len(pose) else before
-        return pose @ np.linalg.inv(last) if len(pose) and len(last) else STILL
+        if len(pose) and len(last):
+            return pose @ np.linalg.inv(last)
+        return STILL
 
     return moved

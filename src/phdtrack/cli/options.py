@@ -123,7 +123,9 @@ def size(text: str) -> int:
     match = re.fullmatch(r"(\d{1,15}(?:\.\d{1,9})?) ?([KMGT]?)B?", text.strip().upper())
     if text and (match is None or float(match[1]) == 0):
         raise typer.BadParameter(f"expected a size as 500MB or 4GB, got {text!r}")
-    return 0 if match is None else int(float(match[1]) * 1000 ** " KMGT".index(match[2] or " "))
+    if match is None:
+        return 0
+    return int(float(match[1]) * 1000 ** " KMGT".index(match[2] or " "))
 
 
 def limit_files(text: str) -> str:
@@ -189,7 +191,9 @@ class SourceOptions:
     @property
     def looked_by(self) -> str:
         """The name of the detector; empty where the detections are given."""
-        return "" if self.detections else self.detector or DEFAULT_DETECTOR
+        if self.detections:
+            return ""
+        return self.detector or DEFAULT_DETECTOR
 
 
 @dataclass(frozen=True, slots=True)

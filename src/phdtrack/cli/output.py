@@ -81,7 +81,10 @@ class Output:
         """Columns under a head, which is left out where it is blank; ``words`` are the columns
         aligned left.
         """
-        lines = [head, *rows] if any(head) else list(rows)
+        if any(head):
+            lines = [head, *rows]
+        else:
+            lines = list(rows)
         widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
         for line in lines:
             pairs = zip(line, widths, strict=True)
@@ -96,12 +99,17 @@ def number(value: float | None, digits: int = 3) -> str:
     """A number as people read it: whole ones without decimals, a dash where there is none."""
     if value is None or not math.isfinite(value):
         return "–"
-    return str(value) if isinstance(value, int) else f"{value:.{digits}f}"
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.{digits}f}"
 
 
 def counted(count: int, noun: str) -> str:
     """ "no boxes", "1 box", "2 boxes"."""
-    many = f"{noun}es" if noun.endswith("x") else f"{noun}s"
+    if noun.endswith("x"):
+        many = f"{noun}es"
+    else:
+        many = f"{noun}s"
     return f"{count or 'no'} {noun if count == 1 else many}"
 
 

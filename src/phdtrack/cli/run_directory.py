@@ -216,7 +216,10 @@ def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FIL
             cure=cure,
         )
     if held and not overwrite:
-        what = "an earlier run" if (path / RUN).exists() else "files of these names"
+        if (path / RUN).exists():
+            what = "an earlier run"
+        else:
+            what = "files of these names"
         problem = f"the directory holds {what} ({', '.join(held)})"
         raise InputError(
             problem,
@@ -231,7 +234,9 @@ def document_of(directory: RunDirectory) -> dict[str, Any]:
         document = json.loads(directory.file(RUN).read_bytes())
     except (OSError, ValueError, RecursionError):
         return {}
-    return document if isinstance(document, dict) else {}
+    if isinstance(document, dict):
+        return document
+    return {}
 
 
 def completed(directory: RunDirectory) -> bool:

@@ -69,7 +69,10 @@ class _Rows(NamedTuple):
     @classmethod
     def read(cls, path: Path | None) -> _Rows:
         """The rows of a file, which has no header; none without one."""
-        text = [line.split(",") for line in load(path).decode().splitlines()] if path else []
+        if path:
+            text = [line.split(",") for line in load(path).decode().splitlines()]
+        else:
+            text = []
         numbers = np.array([row[:6] for row in text], np.float64).reshape(-1, 6)
         frame = numbers[:, 0].astype(np.int64)
         identity = numbers[:, 1].astype(np.int64)

@@ -84,14 +84,17 @@ def usual_preset(settings: Settings, preset: str) -> str:
 
 def only_classes(text: str) -> list[str]:
     """What ``--classes`` stands for, as ``--set`` has it."""
-    return (
-        [f"classes.only={json.dumps([word.strip() for word in text.split(',')])}"] if text else []
-    )
+    if text:
+        return [f"classes.only={json.dumps([word.strip() for word in text.split(',')])}"]
+    return []
 
 
 def scene_settings(scene: Path | None, camera_motion: str = "") -> list[str]:
     """What the options of a scene and of a moving camera stand for, as ``--set`` has it."""
-    sets = [] if scene is None else [f"scene={scene}"]
+    if scene is None:
+        sets = []
+    else:
+        sets = [f"scene={scene}"]
     if camera_motion in ("none", "flow"):
         sets.append(f"camera_motion.kind={camera_motion}")
     elif camera_motion:

@@ -64,7 +64,9 @@ def status() -> int:
 
 def which() -> str:
     """What the signal is called that came last."""
-    return signal.Signals(_came[-1]).name if _came else "Ctrl-C"
+    if _came:
+        return signal.Signals(_came[-1]).name
+    return "Ctrl-C"
 
 
 def leave(code: int) -> None:
@@ -148,4 +150,6 @@ def _place() -> int:
         if str(frame.f_globals.get("__name__")).startswith("numba.core."):
             return -1
         frame = frame.f_back
-    return 0 if top is None else hash((id(top), top.f_lasti))
+    if top is None:
+        return 0
+    return hash((id(top), top.f_lasti))

@@ -200,6 +200,9 @@ def _assigned(texts: Sequence[str], settings: Any, option: str) -> dict[str, Any
         try:
             found[key] = numeric[key](value)
         except ValueError:
-            expected = "a whole number" if numeric[key] is int else "a number"
+            if numeric[key] is int:
+                expected = "a whole number"
+            else:
+                expected = "a number"
             raise InputError(f"expected {expected}, got {value!r}", where=where) from None
     return found

@@ -129,10 +129,16 @@ def prepare(
         problem = "--resume goes on with a run, and --overwrite begins anew"
         raise InputError(problem, where="--resume", cure="Say one of them.")
     rundir.check(to.out, to.overwrite or to.resume)
-    truth = None if options.truth is None else read_truth(options.truth)
+    if options.truth is None:
+        truth = None
+    else:
+        truth = read_truth(options.truth)
     if source.detections is None:
         settings = config.for_detector(settings, source.looked_by)
-    last = 0 if truth is None else int(truth.frame.max(initial=0))
+    if truth is None:
+        last = 0
+    else:
+        last = int(truth.frame.max(initial=0))
     if source.source and rundir.is_run(Path(source.source)):
         problem = "a video was expected, and this is the directory of a run"
         raise InputError(
@@ -205,11 +211,9 @@ def prepare(
 
 def _absolute(name: str | Path | None) -> str:
     """The absolute path of what is there; an address, a pattern or - as it is."""
-    return (
-        os.path.realpath(name)
-        if name and "://" not in str(name) and Path(name).exists()
-        else str(name)
-    )
+    if name and "://" not in str(name) and Path(name).exists():
+        return os.path.realpath(name)
+    return str(name)
 
 
 def finish(output: Output, job: Job, to: RunOptions) -> None:
@@ -262,7 +266,9 @@ def _differing(before: Any, now: Any, name: str = "") -> list[str]:
     same.
     """
     if not (isinstance(before, dict) and isinstance(now, dict)):
-        return [] if before == now else [name.removeprefix("configuration.")]
+        if before == now:
+            return []
+        return [name.removeprefix("configuration.")]
     both = [key for key in now if key in before]
     return [
         one for key in both for one in _differing(before[key], now[key], f"{name}.{key}".strip("."))

@@ -102,7 +102,10 @@ class Run:
 
     def __str__(self) -> str:
         """For people."""
-        clutter = f", clutter {self.rate:g}" if self.rate else ""
+        if self.rate:
+            clutter = f", clutter {self.rate:g}"
+        else:
+            clutter = ""
         return f"{self.method.name} on {self.case.name}{clutter}, seed {self.seed}"
 
 
@@ -296,14 +299,23 @@ def _cases(word: str, wanted: Request, parameters: Mapping[str, Any]) -> list[Ca
     if not path.exists():
         open_source(word)  # says which name is near
         raise InputError("expected a folder or a video file", where=word)
-    name = path.absolute().name if path.is_dir() else path.stem
+    if path.is_dir():
+        name = path.absolute().name
+    else:
+        name = path.stem
     source = word
     sets = dict[str, Path]()
-    truth = Path(wanted.truth.replace("{}", name)) if wanted.truth else None
+    if wanted.truth:
+        truth = Path(wanted.truth.replace("{}", name))
+    else:
+        truth = None
     if path.is_dir():
         annotated = path / "gt" / "gt.txt"
         images = path / "img1"
-        truth = annotated if truth is None and annotated.is_file() else truth
+        if truth is None and annotated.is_file():
+            truth = annotated
+        else:
+            truth = truth
         folders = [
             folder
             for folder in sorted(path.glob("det*"))
@@ -315,19 +327,34 @@ def _cases(word: str, wanted: Request, parameters: Mapping[str, Any]) -> list[Ca
             if (folder / "det.txt").is_file()
         }
         videos = [file for file in path.iterdir() if file.suffix.lower() in VIDEOS]
-        pictures = [images] if images.is_dir() else videos
-        source = str(pictures[0]) if len(pictures) == 1 else ""
+        if images.is_dir():
+            pictures = [images]
+        else:
+            pictures = videos
+        if len(pictures) == 1:
+            source = str(pictures[0])
+        else:
+            source = ""
     files = [_detection_file(text, name, sets) for text in wanted.detections]
     detectors = wanted.detectors
     if not wanted.detections and not detectors:
         files = list(sets.items())
-        detectors = () if sets else (DEFAULT_DETECTOR,)
+        if sets:
+            detectors = ()
+        else:
+            detectors = (DEFAULT_DETECTOR,)
     if detectors and not source:
         cure = "Name detections with --detections, or put one video, or images in img1, into the folder."
         raise InputError("there are no pictures for a detector to look at", where=word, cure=cure)
     known = find_seqinfo(word)
-    last = 0 if truth is None else int(read_truth(truth).frame.max(initial=0))
-    seen = open_source(source).info if source and (detectors or known is None) else None
+    if truth is None:
+        last = 0
+    else:
+        last = int(read_truth(truth).frame.max(initial=0))
+    if source and (detectors or known is None):
+        seen = open_source(source).info
+    else:
+        seen = None
     found = [
         Case(name, label, _info(word, file, known or seen, last), truth, source, file)
         for label, file in files
@@ -347,11 +374,10 @@ def _detection_file(text: str, sequence: str, sets: Mapping[str, Path]) -> tuple
     """Name and file of one of the sequence's sets, or of ``[NAME=]FILE``."""
     if not _is_file(text):
         if text not in sets:
-            cure = (
-                f"There are {', '.join(sets)}."
-                if sets
-                else "Name a file, or say --detectors for a video."
-            )
+            if sets:
+                cure = f"There are {', '.join(sets)}."
+            else:
+                cure = "Name a file, or say --detectors for a video."
             raise InputError(f"there are no detections called {text}", where=sequence, cure=cure)
         return text, sets[text]
     label, equals, pattern = text.partition("=")

@@ -87,11 +87,10 @@ class Results:
             where = (f"{sequence} ({cases})" if cases > 1 else sequence, *rest)
             columns = [self._column(own, name, ahead=ahead) for name in self.names]
             for k, row in enumerate(own):
-                cells = (
-                    ["failed", *[""] * (len(columns) - 1)]
-                    if row.failed
-                    else [column[k] for column in columns]
-                )
+                if row.failed:
+                    cells = ["failed", *[""] * (len(columns) - 1)]
+                else:
+                    cells = [column[k] for column in columns]
                 same = next((i for i in range(3) if where[i] != before[i]), 3)
                 out.append((*([""] * same), *where[same:], row.filter, *cells))
                 before = where
@@ -166,7 +165,10 @@ class Results:
             ["sequence", "detections", "clutter", "filter", "seed", "failed", *names, "folder"]
         ]
         for (run, result), values in zip(runs, each, strict=True):
-            failed = result.reason if isinstance(result, Failed) else ""
+            if isinstance(result, Failed):
+                failed = result.reason
+            else:
+                failed = ""
             where = (
                 run.case.sequence,
                 run.case.detections,
@@ -260,7 +262,9 @@ class Results:
 
 def _number(value: float) -> str:
     """Empty where it is undefined."""
-    return f"{value:.9g}" if math.isfinite(value) else ""
+    if math.isfinite(value):
+        return f"{value:.9g}"
+    return ""
 
 
 def _write(path: Path, rows: Sequence[Sequence[str]]) -> None:

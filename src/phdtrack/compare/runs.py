@@ -93,7 +93,9 @@ class RunResult:
     @property
     def scores(self) -> Scores | None:
         """The scores that follow from the counts."""
-        return None if self.counts is None else scores_of(self.counts, self.iou)
+        if self.counts is None:
+            return None
+        return scores_of(self.counts, self.iou)
 
 
 @dataclass(slots=True, eq=False)
@@ -118,7 +120,9 @@ class Comparison:
     def result(self, run: Run) -> RunResult | Failed:
         """Of a run, or of the one that stands for it."""
         found = self.results.get(run.place)
-        return self.results[replace(run, seed=self.plan.seeds[0]).place] if found is None else found
+        if found is None:
+            return self.results[replace(run, seed=self.plan.seeds[0]).place]
+        return found
 
     @property
     def runs(self) -> list[tuple[Run, RunResult | Failed]]:
@@ -198,7 +202,10 @@ def run(
             pieces = {}
             for one in (one for one in plan.runs if one.seed in seeds):
                 look = seen.get(one.case.place)
-                first = None if one.seed == plan.seeds[0] or one.rate else found.result(one)
+                if one.seed == plan.seeds[0] or one.rate:
+                    first = None
+                else:
+                    first = found.result(one)
                 if isinstance(look, Failed):
                     found.results[one.place] = look
                 elif not isinstance(first, RunResult) or first.drawn:
@@ -224,7 +231,10 @@ def _documents(
     """
     todo = []
     for place, piece in pieces.items():
-        kept = {} if anew else read_about(piece.place)
+        if anew:
+            kept = {}
+        else:
+            kept = read_about(piece.place)
         before = kept.get("decided_by", {})
         if before == piece.decided_by:
             found.reused += "outcome" in kept
@@ -323,7 +333,10 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
         errors = explain(given.truth, tracks, given.table, frames=frames, iou=iou).sums()
     numbers = (frames, len(given.table), len(np.unique(tracks.identity)), len(tracks))
     result = RunResult(*numbers, drawn, seconds, counts, iou, given.warning, errors, evidence)
-    scores = {} if result.scores is None else result.scores.as_dict()
+    if result.scores is None:
+        scores = {}
+    else:
+        scores = result.scores.as_dict()
     write_tracks(folder / TRACKS, tracks)
     return {
         "run": str(run),
@@ -365,9 +378,15 @@ def run_input(run: Run, kept: Path) -> RunInput:
         info = replace(info, frames=int(numbers.max(initial=0)))
     else:
         table, warnings = within_frame(read_detections(case.file), info, case.file)
-    truth = None if case.truth is None else read_truth(case.truth)
+    if case.truth is None:
+        truth = None
+    else:
+        truth = read_truth(case.truth)
     if run.rate:
-        sizes = np.zeros((0, 2)) if truth is None else truth.xyxy[:, 2:] - truth.xyxy[:, :2]
+        if truth is None:
+            sizes = np.zeros((0, 2))
+        else:
+            sizes = truth.xyxy[:, 2:] - truth.xyxy[:, :2]
         name = zlib.crc32(case.sequence.encode("utf-8", "surrogateescape"))
         table = add_clutter(
             table,
@@ -386,7 +405,10 @@ def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float, float | Non
     """Corrected tracks, whether anything was drawn at random, the median of the seconds per frame,
     mean log evidence.
     """
-    detector = run.case.detections if run.case.file is None else ""
+    if run.case.file is None:
+        detector = run.case.detections
+    else:
+        detector = ""
     settings = config.for_detector(run.method.settings, detector)
     table = given.table
     kinds = config.build_kinds(
@@ -462,4 +484,6 @@ def _files(value: object) -> list[str]:
     """The settings that name files, as a camera or a learned scene."""
     if isinstance(value, Mapping):
         return [name for part in value.values() for name in _files(part)]
-    return [value] if isinstance(value, str) and value and Path(value).is_file() else []
+    if isinstance(value, str) and value and Path(value).is_file():
+        return [value]
+    return []

@@ -41,8 +41,13 @@ class Interval:
 
     def __format__(self, spec: str) -> str:
         """Both with the digits of ``spec``, as ``0.553 ± 0.018``; a dash where there is no mean."""
-        half = f" ± {self.half:{spec.lstrip('+')}}" if math.isfinite(self.half) else ""
-        return f"{self.mean:{spec}}{half}" if math.isfinite(self.mean) else "–"
+        if math.isfinite(self.half):
+            half = f" ± {self.half:{spec.lstrip('+')}}"
+        else:
+            half = ""
+        if math.isfinite(self.mean):
+            return f"{self.mean:{spec}}{half}"
+        return "–"
 
 
 UNKNOWN = Interval(math.nan, math.nan, 0)
@@ -54,7 +59,9 @@ def interval(values: Sequence[float]) -> Interval:
     """
     count = len(values)
     if count < 2:
-        return Interval(float(values[0]), math.nan, 1) if count else UNKNOWN
+        if count:
+            return Interval(float(values[0]), math.nan, 1)
+        return UNKNOWN
     error = float(np.std(values, ddof=1)) / math.sqrt(count)
     return Interval(
         float(np.mean(values)), float(stdtrit(count - 1, (1 + LEVEL) / 2)) * error, count
@@ -99,7 +106,9 @@ class Row:
         found = interval(
             [mine[name] - theirs[name] for mine, theirs in zip(self.each, other.each, strict=True)]
         )
-        return found.clear if self.random or other.random else found.mean != 0 and name != "ms"
+        if self.random or other.random:
+            return found.clear
+        return found.mean != 0 and name != "ms"
 
 
 def summary(comparison: Comparison) -> tuple[Row, ...]:
@@ -157,11 +166,10 @@ def _rows(
             failed = next(
                 (one.reason for results in found for one in results if isinstance(one, Failed)), ""
             )
-            each = (
-                []
-                if failed
-                else [values_of([one for one in r if isinstance(one, RunResult)]) for r in found]
-            )
+            if failed:
+                each = []
+            else:
+                each = [values_of([one for one in r if isinstance(one, RunResult)]) for r in found]
             pairs = zip(each, first.each if first else (), strict=False)
             apart = [
                 {name: mine[name] - theirs[name] for name in mine if name in theirs}

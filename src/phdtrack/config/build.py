@@ -75,9 +75,15 @@ def build(
     explainer = settings.build("merged_measurements")
     # Births or clutter that lie at pixels hold for a camera that stands still.
     placed = {settings.kind("birth"), settings.kind("clutter")} & {"places", "scene"}
-    camera = None if placed else settings.build("common_motion", frame_size=size)
+    if placed:
+        camera = None
+    else:
+        camera = settings.build("common_motion", frame_size=size)
     # A detection of several targets says of none where it is.
-    online = DetectionShare() if smoother.detection_share and explainer is None else None
+    if smoother.detection_share and explainer is None:
+        online = DetectionShare()
+    else:
+        online = None
     extractor = settings.build("extract")
     return Stages(
         model, filter_, extractor, associator, rates, explainer, smoother, online, camera, slowest
@@ -199,7 +205,10 @@ def _birth(settings: Settings, size: Size, region: Region) -> Birth:
         raise InputError(
             "births were not learned in this scene", where=birth.file, cure="Leave birth.kind out"
         )
-    among = None if scene.followed is None else scene.followed.objects.density
+    if scene.followed is None:
+        among = None
+    else:
+        among = scene.followed.objects.density
     per_second = scene.births.rate * rate
     return SceneBirth(
         per_second, scene.births.density, birth.particles, birth.births_per_detection, among
@@ -209,7 +218,10 @@ def _birth(settings: Settings, size: Size, region: Region) -> Birth:
 def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
     """Where false alarms are: in an image of this size, or on the ground in ``region``."""
     kind = settings.kind("clutter")
-    volume = image_area(size) if kind == "point" else 0.0
+    if kind == "point":
+        volume = image_area(size)
+    else:
+        volume = 0.0
     given = settings.build("clutter", frame_size=size, borders=region, volume=volume)
     if kind != "scene":
         if kind == "ground" and given.clutter_per_frame and not given.density:

@@ -97,7 +97,10 @@ def build_kinds(
     }
     # Without a camera positions are in metres, which the image's size says nothing of.
     pictured = settings.kind("motion") != "plane" or settings.build("camera").file
-    size = (float(info.width), float(info.height)) if pictured else (0.0, 0.0)
+    if pictured:
+        size = (float(info.width), float(info.height))
+    else:
+        size = (0.0, 0.0)
     return Kinds(
         usual,
         own,
@@ -122,11 +125,10 @@ def _code(
     there = names if present is None else present
     if found is None or (present is not None and found not in there):
         known = ", ".join(names.get(one, str(one)) for one in sorted(there))
-        cure = (
-            f"There are {known}."
-            if known
-            else "Say what the numbers stand for: classes.names, from class 0 on."
-        )
+        if known:
+            cure = f"There are {known}."
+        else:
+            cure = "Say what the numbers stand for: classes.names, from class 0 on."
         raise InputError(f"there is no class {word} in these detections", where=where, cure=cure)
     return found
 

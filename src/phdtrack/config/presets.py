@@ -30,7 +30,9 @@ def _as_given(value: Any) -> Any:
     """A value as the types of settings have it: numbers in a tuple, places as a list of tuples."""
     if not isinstance(value, list):
         return value
-    return [tuple(place) for place in value] if isinstance(value[0], list) else tuple(value)
+    if isinstance(value[0], list):
+        return [tuple(place) for place in value]
+    return tuple(value)
 
 
 _FILE = read_toml(Path(__file__).with_name("presets.toml"))
@@ -47,7 +49,9 @@ def _table(preset: str, motion: str, filter_name: str) -> Table:
     """
     if preset != "default" or (motion or "box", filter_name or "pmb") == ("box", "pmb"):
         return PRESETS[preset]
-    return _WITH.get(filter_name, _WITH["others"]) if (motion or "box") == "box" else {}
+    if (motion or "box") == "box":
+        return _WITH.get(filter_name, _WITH["others"])
+    return {}
 
 
 def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str, dict[str, Any]]:

@@ -198,11 +198,10 @@ def _of_classes(entry: _Entry) -> list[_Entry]:
         return [entry]
     out = []
     for name, inner in value.items():
-        pairs = (
-            [(f"{name}.{one}", last) for one, last in inner.items()]
-            if isinstance(inner, Mapping)
-            else [(name, inner)]
-        )
+        if isinstance(inner, Mapping):
+            pairs = [(f"{name}.{one}", last) for one, last in inner.items()]
+        else:
+            pairs = [(name, inner)]
         out += [
             _Entry("classes", "each", (f"{key}.{path}={json.dumps(last)}",), where)
             for path, last in pairs
@@ -239,7 +238,10 @@ def _replaced(settings: Settings, entries: Iterable[_Entry]) -> Settings:
                 del given[section]["kind"]
     for entry in entries:
         if entry not in kinds:
-            value = entry.value if entry.section == "detector" else _checked(merged, entry)
+            if entry.section == "detector":
+                value = entry.value
+            else:
+                value = _checked(merged, entry)
             if entry[:2] == ("classes", "each"):
                 value = (*given.get("classes", {}).get("each", ()), *value)
             given.setdefault(entry.section, {})[entry.key] = value
@@ -261,7 +263,10 @@ def _checked(settings: Settings, entry: _Entry) -> Any:
     known = settable(section, settings.kind(section), motion)
     if key not in known:
         others = [kind for kind in SECTIONS[section] if key in settable(section, kind, motion)]
-        owner = f"{section}.kind={' or '.join(others)}" if others else ""
+        if others:
+            owner = f"{section}.kind={' or '.join(others)}"
+        else:
+            owner = ""
         raise _unknown(f"setting of [{section}]", key, list(known), where, owner)
     try:
         # A list may stand for a tuple and 5.0 for 5, but neither true nor "0.9" for a number.
@@ -306,9 +311,10 @@ def _check(settings: Settings, where: str) -> None:
                     for k in SECTIONS[deciding]
                     if kind in FITTING[deciding, k].get(section, unnamed)
                 ]
-                elsewhere = (
-                    f"; it goes with {deciding}.kind={' or '.join(others)}" if others else ""
-                )
+                if others:
+                    elsewhere = f"; it goes with {deciding}.kind={' or '.join(others)}"
+                else:
+                    elsewhere = ""
                 problem = f"{section}.kind={kind} does not fit {deciding}.kind={kinds[deciding]}"
                 raise InputError(
                     problem, where=where, cure=f"{cure} {' or '.join(fitting)}{elsewhere}"
@@ -374,7 +380,10 @@ def parsed_value(value: str) -> Any:
         plain = re.sub(r"^([+-]?)\.(?=\d)", r"\g<1>0.", value)
         parsed = tomllib.loads(f"value = {plain}")["value"]
         # No setting is a moment; TOML takes 19:30:00 for one.
-        parsed = value if isinstance(parsed, (datetime.date, datetime.time)) else parsed
+        if isinstance(parsed, (datetime.date, datetime.time)):
+            parsed = value
+        else:
+            parsed = parsed
     except (ValueError, RecursionError):
         parsed = value
     return parsed
@@ -382,9 +391,8 @@ def parsed_value(value: str) -> Any:
 
 def _unknown(what: str, name: str, known: Sequence[str], where: str, owner: str = "") -> InputError:
     """Says the nearest name, or all; ``owner`` is where else there is one of this name."""
-    cure = (
-        f"It goes with {owner}; here there are {', '.join(known) or 'none'}."
-        if owner
-        else did_you_mean(name, known)
-    )
+    if owner:
+        cure = f"It goes with {owner}; here there are {', '.join(known) or 'none'}."
+    else:
+        cure = did_you_mean(name, known)
     return InputError(f"unknown {what}: {name}", where=where, cure=cure)

@@ -181,7 +181,9 @@ class ChangeDetector:
         """(3, 3) from pixels of the scene to those of the last frame of a camera that shakes, or
         `types.STILL`.
         """
-        return self._pose if self._samples else STILL
+        if self._samples:
+            return self._pose
+        return STILL
 
     def unsuited(self) -> tuple[str, ...]:
         """What of the scene of a file makes the boxes doubtful, with what would help, in
@@ -421,9 +423,10 @@ class ChangeDetector:
         one, and their energy; with what is recalled of other samples, of all rows."""
         now, then = (_rows(each, self._shape, rows) for each in (picture, self._reference))
         # To recall takes most of the time, and changes no energy.
-        past = (
-            self._past if recall else self._past._replace(samples=np.zeros((now.size, 0), np.uint8))
-        )
+        if recall:
+            past = self._past
+        else:
+            past = self._past._replace(samples=np.zeros((now.size, 0), np.uint8))
         mask, energy = compare(
             now, then, _SAME_LIGHT, self._scene[rows], self._rule, self._camera, past
         )

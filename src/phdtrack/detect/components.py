@@ -95,14 +95,15 @@ class Heights:
         x, y = np.array([[box[3], math.log(box[3] - box[1])] for box in rows]).T
         a, b = np.triu_indices(len(x), 1)
         apart = np.abs(x[a] - x[b]) > _APART * shape[0]
-        slope = (
-            float(np.median((y[a] - y[b])[apart] / (x[a] - x[b])[apart]))
-            if apart.sum() >= _ENOUGH
-            else 0.0
-        )
+        if apart.sum() >= _ENOUGH:
+            slope = float(np.median((y[a] - y[b])[apart] / (x[a] - x[b])[apart]))
+        else:
+            slope = 0.0
         offset = float(np.median(y - slope * x))
         # Where heights differ by so much, they say nothing.
-        return cls(offset, slope) if np.median(np.abs(y - slope * x - offset)) < _UNLIKE else None
+        if np.median(np.abs(y - slope * x - offset)) < _UNLIKE:
+            return cls(offset, slope)
+        return None
 
 
 def _alone(boxes: F8, shape: tuple[int, ...]) -> Bool:

@@ -48,7 +48,10 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     if obj is None:
         cure = "Where nothing was detected give an empty array: numpy.empty((0, 4))."
         raise InputError("expected boxes, got None", where=where, cure=cure)
-    whole = obj[0] if isinstance(obj, list | tuple) and len(obj) == 1 else obj
+    if isinstance(obj, list | tuple) and len(obj) == 1:
+        whole = obj[0]
+    else:
+        whole = obj
     if getattr(whole, "obb", None) is not None:
         raise InputError(
             "expected upright boxes, got oriented ones",
@@ -68,17 +71,19 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
             for names in (("confidence", "conf"), ("class_id", "cls"))
         )
     elif n and (table.ndim != 2 or table.shape[1] not in (4, 5, 6)):
-        cure = (
-            "A single box is an array of one row: [[left, top, right, bottom]]."
-            if table.ndim == 1
-            else ""
-        )
+        if table.ndim == 1:
+            cure = "A single box is an array of one row: [[left, top, right, bottom]]."
+        else:
+            cure = ""
         raise InputError(
             f"expected {_COLUMNS}; got an array of shape {table.shape}", where=where, cure=cure
         )
     else:
         score, label = (table[:, k] if n and table.shape[1] > k else None for k in (4, 5))
-    label = np.zeros(n) if label is None else label
+    if label is None:
+        label = np.zeros(n)
+    else:
+        label = label
     whole = (np.abs(label) < _LARGEST_CLASS) & (np.rint(label) == label)
     if not whole.all():
         row = int(np.argmin(whole))
@@ -146,7 +151,10 @@ class Limits(Checked):
         """
         low = found.xyxy[:, :2]
         high = found.xyxy[:, 2:]
-        frame = np.array(self.frame_size) if min(self.frame_size) > 0 else np.full(2, UNKNOWN)
+        if min(self.frame_size) > 0:
+            frame = np.array(self.frame_size)
+        else:
+            frame = np.full(2, UNKNOWN)
         with np.errstate(over="ignore"):
             sides = high - low
             away = np.abs(low / 2 + high / 2 - frame / 2)
@@ -217,11 +225,11 @@ def within_frame(
         cure = "Name the columns in a header line: frame, left, top, width, height, score."
         raise InputError(problem, where=path, cure=cure)
     kept = share_inside(table.detections.xyxy, info.width, info.height) > 0
-    empty = (
-        (f"{path}: {table.empty} of the boxes have width or height 0 and are left out",)
-        if table.empty
-        else ()
-    )
+    empty: tuple[str, ...]
+    if table.empty:
+        empty = (f"{path}: {table.empty} of the boxes have width or height 0 and are left out",)
+    else:
+        empty = ()
     if kept.all():
         return table, empty
     outside = int((~kept).sum())
@@ -244,7 +252,10 @@ def _numbers(values: object, where: str) -> F8:
     try:
         # A tensor, which may be on a GPU, of a type that NumPy does not have.
         detach = getattr(values, "detach", None)
-        values = values if detach is None else detach().cpu().double()
+        if detach is None:
+            values = values
+        else:
+            values = detach().cpu().double()
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError) as error:
         problem = f"expected {_COLUMNS}; got {type(values).__name__} that does not convert to numbers ({error})"

@@ -153,15 +153,22 @@ class OnnxDetector:
         named, sides, stride = (
             _literal(said.get(name, "")) for name in ("names", "imgsz", "stride")
         )
-        named = dict(enumerate(named)) if isinstance(named, list | tuple) else named
+        if isinstance(named, list | tuple):
+            named = dict(enumerate(named))
+        else:
+            named = named
         self.names: Mapping[int, str] = {}
         if isinstance(named, dict) and all(type(key) is int for key in named):
             self.names = {key: str(value) for key, value in named.items()}
-        sides = (
-            [side for side in sides if type(side) is int] if isinstance(sides, list | tuple) else []
-        )
+        if isinstance(sides, list | tuple):
+            sides = [side for side in sides if type(side) is int]
+        else:
+            sides = []
         self._longer = self.size or max(sides, default=_SIZE)
-        self._stride = stride if type(stride) is int and stride > 0 else _STRIDE
+        if type(stride) is int and stride > 0:
+            self._stride = stride
+        else:
+            self._stride = _STRIDE
         self._input, self._more = self._inputs()
         if self.size and self._input.width and self._input.height:
             problem = f"the network takes pictures of {self._input.width}x{self._input.height} pixels only"
@@ -177,11 +184,9 @@ class OnnxDetector:
     @property
     def together(self) -> int:
         """How many frames are looked at in one call."""
-        return (
-            (self._input.batch or self.batch)
-            if self._layout.batched and self._input.batch >= 0
-            else 1
-        )
+        if self._layout.batched and self._input.batch >= 0:
+            return self._input.batch or self.batch
+        return 1
 
     def reset(self) -> None:
         """Nothing to forget."""
@@ -193,7 +198,10 @@ class OnnxDetector:
     def many(self, frames: Sequence[Frame]) -> list[Detections]:
         """What it finds in each of the frames."""
         placed = [self._place(frame.image) for frame in frames]
-        step = self.together if len({one.tensor.shape for one in placed}) == 1 else 1
+        if len({one.tensor.shape for one in placed}) == 1:
+            step = self.together
+        else:
+            step = 1
         outputs = [
             one
             for first in range(0, len(frames), step)
@@ -255,7 +263,10 @@ class OnnxDetector:
                 one[:: -1 if self.bgr else 1, None, None] for one in (_MEAN, _DEVIATION)
             )
             values = (values - mean) / deviation
-        values = values.transpose(1, 2, 0) if taken.channels_last else values
+        if taken.channels_last:
+            values = values.transpose(1, 2, 0)
+        else:
+            values = values
         tensor = np.ascontiguousarray(values, taken.dtype)
         offset = np.array([left, top], np.float64)
         return _Placed(tensor, whole.astype(np.float64), inner / size, offset)
@@ -266,19 +277,19 @@ class OnnxDetector:
             np.stack([one.tensor for one in placed]),
             max(self._input.batch - len(placed), 0),
         )
-        batch = (
-            np.concatenate([batch, np.zeros((missing, *batch.shape[1:]), batch.dtype)])
-            if missing
-            else batch
-        )
+        if missing:
+            batch = np.concatenate([batch, np.zeros((missing, *batch.shape[1:]), batch.dtype)])
+        else:
+            batch = batch
         feed: dict[str, Array] = {self._input.name: batch[0] if self._input.batch < 0 else batch}
         width, height = placed[0].size
         for name in self._more:
             # The size of the picture that boxes are wanted for; or which of its pixels are to be
             # looked at.
-            fill = (
-                np.array([width, height]) if "size" in name else np.ones((int(height), int(width)))
-            )
+            if "size" in name:
+                fill = np.array([width, height])
+            else:
+                fill = np.ones((int(height), int(width)))
             feed[name] = np.tile(fill.astype(np.int64), (len(batch), *[1] * fill.ndim))
         try:
             outputs: list[Array] = self._session.run(None, feed)
@@ -342,11 +353,10 @@ class OnnxDetector:
         codes = {name.lower(): code for code, name in self.names.items()}
         code = codes.get(word.lower(), int(word) if word.isdecimal() else -1)
         if code < 0 or (self.names and code not in self.names):
-            cure = (
-                did_you_mean(word, self.names.values())
-                if self.names
-                else "It does not name them: give numbers."
-            )
+            if self.names:
+                cure = did_you_mean(word, self.names.values())
+            else:
+                cure = "It does not name them: give numbers."
             raise InputError(
                 f"the network has no class {word}", where="detector.classes", cure=cure
             )
@@ -386,7 +396,9 @@ def _said(error: Exception) -> str:
 def _literal(text: str) -> Any:
     """A list, dictionary or number in the metadata; None where it is none."""
     with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
-        return ast.literal_eval(text) if text else None
+        if text:
+            return ast.literal_eval(text)
+        return None
 
 
 def _listed(given: Sequence[Any]) -> str:
@@ -412,23 +424,29 @@ def _of_one(outputs: Sequence[Array], layout: str, names: int, task: str) -> _La
         and not (outputs[place][..., 5] % 1).any()
     )
     if layout == "end2end" or (ended and not layout):
-        return _Layout(partial(_end_to_end, place), names, False) if wide >= 6 else None
+        if wide >= 6:
+            return _Layout(partial(_end_to_end, place), names, False)
+        return None
     if names and not layout and wide == 4 + names and high != 4 + names:
         # Queries of an RT-DETR, or the cells of a YOLO.
         return _Layout(partial(_grid, place, True, 0, names), names, high > _MOST_ROWS)
-    flat = (
-        high == 4 + names or (high < wide and wide != 5 + names)
-        if names and not more
-        else high < wide
-    )
+    if names and not more:
+        flat = high == 4 + names or (high < wide and wide != 5 + names)
+    else:
+        flat = high < wide
     if layout == "yolov8" or (flat and not layout):
-        classes = names if more and names else high - 4
-        return (
-            _Layout(partial(_grid, place, False, 0, classes), classes, True) if high > 4 else None
-        )
+        if more and names:
+            classes = names
+        else:
+            classes = high - 4
+        if high > 4:
+            return _Layout(partial(_grid, place, False, 0, classes), classes, True)
+        return None
     # Sizes below 0 are logarithms.
     decoded = wide > 5 and not (outputs[place][..., 2:4] < 0).any()
-    return _Layout(partial(_grid, place, True, 1, wide - 5), wide - 5, True) if decoded else None
+    if decoded:
+        return _Layout(partial(_grid, place, True, 1, wide - 5), wide - 5, True)
+    return None
 
 
 def _of_several(found: Mapping[str, Array], channels_last: bool) -> _Layout | None:
@@ -447,7 +465,10 @@ def _of_several(found: Mapping[str, Array], channels_last: bool) -> _Layout | No
     ]
     labels = [name for name in lists if found[name].dtype.kind in "iu" or _has(name, "label|class")]
     if len(lists) - len(labels) == 1 and len(labels) <= 1:
-        order = [1, 0, 3, 2] if channels_last or _has(boxes, "detection_boxes") else [0, 1, 2, 3]
+        if channels_last or _has(boxes, "detection_boxes"):
+            order = [1, 0, 3, 2]
+        else:
+            order = [0, 1, 2, 3]
         scores = next(name for name in lists if name not in labels)
         places = place[boxes], place[scores], place[labels[0]] if labels else -1
         return _Layout(partial(_apart, places, order), 0, False, batched)
@@ -456,11 +477,10 @@ def _of_several(found: Mapping[str, Array], channels_last: bool) -> _Layout | No
         for name, one in found.items()
         if one.ndim == len(shape) and one.shape[:-1] == shape[:-1] and name != boxes
     ]
-    tables = (
-        tables
-        if len(tables) == 1
-        else [name for name in tables if _has(name, "logit|label|class|score|conf|prob")]
-    )
+    if len(tables) == 1:
+        tables = tables
+    else:
+        tables = [name for name in tables if _has(name, "logit|label|class|score|conf|prob")]
     if len(tables) != 1 or not found[boxes].size:
         return None
     table = found[tables[0]].astype(np.float64)
@@ -530,7 +550,10 @@ def _queries(
     if logits:
         from scipy.special import expit, softmax  # takes long to import
 
-        table = softmax(table, axis=1)[:, :-1] if nothing else expit(table)
+        if nothing:
+            table = softmax(table, axis=1)[:, :-1]
+        else:
+            table = expit(table)
     return _corners(boxes), table.max(axis=1), table.argmax(axis=1)
 
 

@@ -79,7 +79,10 @@ class SubtractorDetector:
         self._seen += 1
         passed = frame.time - self._time
         self._time = frame.time
-        interval = passed if passed > 0 else _FALLBACK_INTERVAL
+        if passed > 0:
+            interval = passed
+        else:
+            interval = _FALLBACK_INTERVAL
         # OpenCV's own rule for early frames (half of what a plain mean would give them), the time
         # constant later.
         rate = max(0.5 / self._seen, min(1.0, interval / self.adapt))
@@ -118,11 +121,10 @@ def cascade_file(name: str) -> Path:
         names = sorted(
             file.stem.removeprefix("haarcascade_") for file in folder.glob("haarcascade_*.xml")
         )
-        known = (
-            f"Shipped are {', '.join(names)}."
-            if names
-            else f"This OpenCV ships none. Mend it by: {MEND}"
-        )
+        if names:
+            known = f"Shipped are {', '.join(names)}."
+        else:
+            known = f"This OpenCV ships none. Mend it by: {MEND}"
         cure = f"{known} An .xml file of your own works too."
         raise InputError(f"there is no cascade {name!r}", where="cascade", cure=cure)
     return path

@@ -71,9 +71,10 @@ class Anchor:
         corners = cv2.goodFeaturesToTrack(
             picture, _CORNERS, 0.01, max(3.0, _APART * picture.shape[1])
         )
-        self._corners = (
-            np.zeros((0, 1, 2), np.float32) if corners is None else np.asarray(corners, np.float32)
-        )
+        if corners is None:
+            self._corners = np.zeros((0, 1, 2), np.float32)
+        else:
+            self._corners = np.asarray(corners, np.float32)
         self._picture = picture.copy()
         self.middle: F8 = np.append(
             self._corners.reshape(-1, 2).sum(axis=0) / max(1, len(self._corners)), 1.0
@@ -105,7 +106,9 @@ class Anchor:
 
     def moved(self, pose: F8) -> F8:
         """(2,) pixels by which the middle of the corners is moved; 0 where it is not known."""
-        return pose[:2] @ self.middle - self.middle[:2] if len(pose) else np.zeros(2)
+        if len(pose):
+            return pose[:2] @ self.middle - self.middle[:2]
+        return np.zeros(2)
 
 
 def stabilised(picture: Image, shape: tuple[int, int], pose: F8) -> Image:

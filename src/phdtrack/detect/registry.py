@@ -146,7 +146,9 @@ class Rescaled:
         """Width and height of the frame as the detector sees it."""
         width, height = size_of(frame)
         small = (self.max_width, round(height * self.max_width / width))
-        return small if width > self.max_width else (width, height)
+        if width > self.max_width:
+            return small
+        return (width, height)
 
     def shrunk(self, frame: Frame) -> Frame:
         """The frame as the detector sees it."""
@@ -177,9 +179,10 @@ class Rescaled:
         found = self.detector(smaller)
         small = size_of(smaller)
         factor = np.tile([width / small[0], height / small[1]], 2)
-        covariance = (
-            None if found.covariance is None else found.covariance * np.outer(factor, factor)
-        )
+        if found.covariance is None:
+            covariance = None
+        else:
+            covariance = found.covariance * np.outer(factor, factor)
         return replace(found, xyxy=found.xyxy * factor, covariance=covariance)
 
 
@@ -200,7 +203,9 @@ def working_width(name: str, given: int | None, info: SequenceInfo) -> int:
     if given is not None:
         return given
     factor = max(info.width, info.height) // _WORKING
-    return round(info.width / factor) if factor > 1 and name in BACKGROUND else 0
+    if factor > 1 and name in BACKGROUND:
+        return round(info.width / factor)
+    return 0
 
 
 class Masked:
@@ -212,8 +217,14 @@ class Masked:
 
     def __init__(self, detector: Detector, mask: Image | Bool | str | Path) -> None:
         self._detector = detector
-        self._where = str(mask) if isinstance(mask, str | Path) else "mask"
-        region = _read_mask(Path(mask)) if isinstance(mask, str | Path) else np.asarray(mask)
+        if isinstance(mask, str | Path):
+            self._where = str(mask)
+        else:
+            self._where = "mask"
+        if isinstance(mask, str | Path):
+            region = _read_mask(Path(mask))
+        else:
+            region = np.asarray(mask)
         if region.ndim != 2:
             raise InputError(
                 f"a mask has the shape (height, width), this one {region.shape}", where=self._where
@@ -259,7 +270,10 @@ class Masked:
 def _read_mask(path: Path) -> Image:
     """The picture in a file, grey."""
     data = np.frombuffer(load(path), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    if data.size:
+        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+    else:
+        image = None
     if image is None:
         raise InputError(
             "this is not an image that can be read", where=path, cure="A mask is a PNG file, say."
@@ -273,7 +287,10 @@ def detector_parameters(name: str) -> dict[str, Any]:
         return {field.name: field.default for field in fields(OnnxDetector) if field.name != "file"}
     if name not in DETECTORS:
         cure = f"{did_you_mean(name, DETECTORS)} A network of your own: onnx:FILE; its boxes: --detections FILE."
-        cure = f"Say {_NETWORK}{name}" if name.endswith(".onnx") else cure
+        if name.endswith(".onnx"):
+            cure = f"Say {_NETWORK}{name}"
+        else:
+            cure = cure
         raise InputError(f"there is no detector {name!r}", cure=cure)
     known = {field.name: field.default for field in fields(_BUILD[name]) if field.name != "method"}
     return known | (
@@ -318,7 +335,10 @@ def make_detector(
                 f"detector {name!r} has no parameter {key!r}", cure=did_you_mean(key, known)
             )
         kind = type(known[key])
-        value = float(value) if kind is float and type(value) is int else value
+        if kind is float and type(value) is int:
+            value = float(value)
+        else:
+            value = value
         if not isinstance(value, kind) or isinstance(value, bool) > (kind is bool):
             raise InputError(f"expected {_WORDS[kind]}, got {value!r}", where=f"detector.{key}")
         (blobs if key in BlobSettings.__dataclass_fields__ else own)[key] = value
@@ -331,7 +351,9 @@ def make_detector(
     detector: Detector = _BUILD.get(name, OnnxDetector)(**own)
     if max_width:
         detector = Rescaled(detector, max_width)
-    return detector if mask is None else Masked(detector, mask)
+    if mask is None:
+        return detector
+    return Masked(detector, mask)
 
 
 def class_names(detector: Detector) -> Mapping[int, str] | None:
@@ -339,7 +361,9 @@ def class_names(detector: Detector) -> Mapping[int, str] | None:
     know one only.
     """
     inner, _ = _inner(detector)
-    return inner.names if isinstance(inner, OnnxDetector) else None
+    if isinstance(inner, OnnxDetector):
+        return inner.names
+    return None
 
 
 def unsuited(detector: Detector) -> tuple[str, ...]:
@@ -347,15 +371,23 @@ def unsuited(detector: Detector) -> tuple[str, ...]:
     learned it.
     """
     inner, _ = _inner(detector)
-    return inner.unsuited() if isinstance(inner, ChangeDetector) else ()
+    if isinstance(inner, ChangeDetector):
+        return inner.unsuited()
+    return ()
 
 
 def _inner(detector: Detector) -> tuple[Detector, Rescaled | None]:
     """The detector that looks at pictures, and what shrinks them for it."""
     small = None
     while isinstance(detector, Rescaled | Masked):
-        small = detector if isinstance(detector, Rescaled) else small
-        detector = detector.detector if isinstance(detector, Rescaled) else detector._detector
+        if isinstance(detector, Rescaled):
+            small = detector
+        else:
+            small = small
+        if isinstance(detector, Rescaled):
+            detector = detector.detector
+        else:
+            detector = detector._detector
     return detector, small
 
 
@@ -367,7 +399,10 @@ def looked_at(
 
     Where the frames end in an error, those before it come first.
     """
-    network = detector if isinstance(detector, OnnxDetector) else None
+    if isinstance(detector, OnnxDetector):
+        network = detector
+    else:
+        network = None
     iterator = iter(frames)
     stop = None
     most = network.together if network else 1
@@ -379,7 +414,10 @@ def looked_at(
         except Exception as error:
             stop = error
         clock = time.perf_counter()
-        found = network.many(batch) if network else [detector(frame) for frame in batch]
+        if network:
+            found = network.many(batch)
+        else:
+            found = [detector(frame) for frame in batch]
         seconds = (time.perf_counter() - clock) / max(len(batch), 1)
         yield from ((frame, one, seconds) for frame, one in zip(batch, found, strict=True))
     if not isinstance(stop, StopIteration):
@@ -404,7 +442,10 @@ def pose_of(detector: Detector, frame: Frame) -> F8:
     camera does not shake.
     """
     inner, small = _inner(detector)
-    pose = inner.pose if isinstance(inner, ChangeDetector) else STILL
+    if isinstance(inner, ChangeDetector):
+        pose = inner.pose
+    else:
+        pose = STILL
     if small is None or not len(pose):
         return pose
     scale = np.diag([*np.divide(size_of(frame), small.size(frame)), 1.0])
@@ -451,7 +492,10 @@ def study(
         return
 
     def seen(frame: Frame) -> Frame:
-        frame = frame if small is None else small.shrunk(frame)
+        if small is None:
+            frame = frame
+        else:
+            frame = small.shrunk(frame)
         return Frame(frame.number, frame.time, Planar(size_of(frame), planes_of(frame.picture)))
 
     for count in (_SAMPLES, _SAMPLES // 2):

@@ -121,11 +121,9 @@ class Weighing:
 def poisson(mean: float, more: int = 0) -> F8:
     """Poisson probabilities of 0, 1, 2, … as far as they count, and of ``more``."""
     number = np.arange(math.ceil(mean + 10 * math.sqrt(mean) + 20) + more)
-    return (
-        np.exp(number * math.log(mean) - mean - log_factorials(len(number)))
-        if mean > 0
-        else np.ones(1)
-    )
+    if mean > 0:
+        return np.exp(number * math.log(mean) - mean - log_factorials(len(number)))
+    return np.ones(1)
 
 
 def weigh(cardinality: F8, terms: UpdateTerms, births: float) -> Weighing:

@@ -78,7 +78,9 @@ class _Extraction(Checked):
         found: Estimates = settings._peaks(
             state.intensity if known else state, z, model, counting=counting
         )
-        return heaviest(found, state.cardinality) if counting else found
+        if counting:
+            return heaviest(found, state.cardinality)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +167,9 @@ class Mixture(_Extraction):
             mixture = self._fit(blocks, known, _divided(mixture, sensor, split), sensor)
         heavy = kept(mixture, mixture.weight >= lightest)
         found = finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
-        return united(found, sensor) if counting else found
+        if counting:
+            return united(found, sensor)
+        return found
 
     def _fit(
         self, blocks: Blocks, known: Gaussians, mixture: Gaussians, sensor: Sensor
@@ -241,7 +245,10 @@ def known_blocks(intensity: Intensity) -> Blocks:
 def _without(blocks: Blocks, which: Bool) -> Blocks:
     """The blocks without some particles (L,)."""
     left = ~which
-    weight = blocks.weight[left] if len(blocks.weight) > 1 else blocks.weight
+    if len(blocks.weight) > 1:
+        weight = blocks.weight[left]
+    else:
+        weight = blocks.weight
     start = np.concatenate([[0], np.cumsum(left)])[blocks.start]
     fewer: Blocks = summarise(np.ascontiguousarray(blocks.state[:, left]), weight, start)
     return fewer
@@ -326,7 +333,10 @@ def _floored(mixture: Gaussians, sensor: Sensor) -> tuple[Gaussians, F8]:
     at their means.
     """
     alive = mixture.weight > SHAPELESS
-    mixture = mixture if alive.all() else kept(mixture, alive)
+    if alive.all():
+        mixture = mixture
+    else:
+        mixture = kept(mixture, alive)
     scale = sensor.noise(mixture.mean)
     return mixture._replace(covariance=with_floor(mixture.covariance, scale)), scale
 

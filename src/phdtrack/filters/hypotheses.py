@@ -182,7 +182,9 @@ def before(nodes: Nodes, index: I8) -> I8:
     """(n,) where the parents of nodes at ``index`` (n,) are in the frame before; −1 where the track
     began or index is −1.
     """
-    return np.where(index >= 0, nodes.parent[index], -1) if len(nodes) else np.full(len(index), -1)
+    if len(nodes):
+        return np.where(index >= 0, nodes.parent[index], -1)
+    return np.full(len(index), -1)
 
 
 def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
@@ -353,11 +355,10 @@ def parted(state: Hypotheses) -> Hypotheses:
     """
     lone = [state.lone]
     clusters = []
-    trace = (
-        _trace(state)
-        if any(c.leaf.shape[1] > 1 and len(c.weight) > 1 for c in state.clusters)
-        else None
-    )
+    if any(c.leaf.shape[1] > 1 and len(c.weight) > 1 for c in state.clusters):
+        trace = _trace(state)
+    else:
+        trace = None
     for cluster in state.clusters:
         parts = [cluster]
         if trace is not None and cluster.leaf.shape[1] > 1 and len(cluster.weight) > 1:

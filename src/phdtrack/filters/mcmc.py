@@ -165,7 +165,10 @@ class MCMC(Filter[JointSamples]):
         candidate = np.where(candidate < old, candidate, old + np.searchsorted(seen, candidate))
         label = np.concatenate([state.label, state.fresh + seen - old])
         absent = np.concatenate([np.maximum(1 - state.existence, SURELY), np.ones(len(seen))])
-        box = model.sensor.boxes(x) if self.interaction_strength > 0 else np.zeros((0, 4))
+        if self.interaction_strength > 0:
+            box = model.sensor.boxes(x)
+        else:
+            box = np.zeros((0, 4))
         can = make_options(candidate, which, member, weight, absent, np.ascontiguousarray(box))
         pairs = _rivals(can.first, can.seen_by)
         chain = Chain(

@@ -120,7 +120,10 @@ class GMPHD(Checked, Filter[GaussianMixture]):
 
         def weighed(missed: float, detected: F8) -> GaussianMixture:
             # Of a heap of targets what pruning would drop is not made.
-            least = float(self.weight_threshold) if len(t.pairs) > HEAP else 0.0
+            if len(t.pairs) > HEAP:
+                least = float(self.weight_threshold)
+            else:
+                least = 0.0
             rows, mass = mixture_of(*frame[:-1], t, (missed, detected), least)
             if least and len(rows.weight):
                 rows = rows._replace(weight=rows.weight * (mass / rows.weight.sum()))

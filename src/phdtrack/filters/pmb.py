@@ -236,7 +236,10 @@ class PMB(Checked, Filter[Bernoullis]):
         """
         now = state.present
         factors = self.acceleration_factors
-        factor = SAME if factors == (1.0,) else np.square(factors)[now.hypotheses["motion"]]
+        if factors == (1.0,):
+            factor = SAME
+        else:
+            factor = np.square(factors)[now.hypotheses["motion"]]
         mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform, factor)
         now = Layer(now.targets, now.hypotheses, mean, covariance)
         noise = model.sensor.noise(np.ascontiguousarray(mean.T))
@@ -258,7 +261,9 @@ class PMB(Checked, Filter[Bernoullis]):
     def _prior(self) -> float:
         """The log odds that a target is genuine, before its scores are known."""
         lasting = self.lasting_clutter_prior
-        return math.log(1 / lasting - 1) if lasting > 0 else CERTAIN
+        if lasting > 0:
+            return math.log(1 / lasting - 1)
+        return CERTAIN
 
     def _changes(self, seconds: float) -> tuple[float, float]:
         """Probabilities to be occluded ``seconds`` after being visible, and visible after being
@@ -306,11 +311,10 @@ class PMB(Checked, Filter[Bernoullis]):
         # kernels.
         nothing = np.zeros(len(seen.z))
         clutter = model.clutter
-        scored = (
-            (clutter.odds, clutter.log_odds)
-            if isinstance(clutter, ScoredClutter)
-            else (nothing + 1, nothing)
-        )
+        if isinstance(clutter, ScoredClutter):
+            scored = (clutter.odds, clutter.log_odds)
+        else:
+            scored = (nothing + 1, nothing)
         scores = Scores(*scored, self._prior if telling else CERTAIN)
         layer, learned, gone, weak = updated_layer(
             *map(tuple, (now, said, seen, new, scores, settings)), label
@@ -333,9 +337,10 @@ class PMB(Checked, Filter[Bernoullis]):
         )
         detected = float((now.targets["r"][h["target"]] * h["weight"]) @ p_detect)
         info = replace(UpdateInfo(*learned), detected=detected)
-        unseen = (
-            self._undetected(births, model, now, weak) if len(births.weight) else state.undetected
-        )
+        if len(births.weight):
+            unseen = self._undetected(births, model, now, weak)
+        else:
+            unseen = state.undetected
         return Bernoullis((*state.layers[:-1], layer), ended, label, unseen, state.frame), info
 
     def _undetected(self, births: Births, model: Model, now: Layer, weak: F8) -> GaussianMixture:
@@ -379,7 +384,10 @@ class BestBernoullis(Checked):
         layers = state.layers
         frames = list[Estimates | None]()
         present = now = _best(layers[-1])
-        before = _best(layers[-2]) if len(layers) > 1 else now
+        if len(layers) > 1:
+            before = _best(layers[-2])
+        else:
+            before = now
         for back in range(1, len(layers)):
             after = layers[-back]
             then = layers[-back - 1]

@@ -64,14 +64,19 @@ class WrongRows:
 
     def document(self) -> dict[str, object]:
         """For run.json; empty where nothing was left out."""
-        return {"rows_left_out": self.rows, "first_left_out": str(self.first)} if self.rows else {}
+        if self.rows:
+            return {"rows_left_out": self.rows, "first_left_out": str(self.first)}
+        return {}
 
     def sentences(self) -> tuple[str, ...]:
         """What was left out, for people."""
-        many = (
-            "1 row that is wrong is" if self.rows == 1 else f"{self.rows} rows that are wrong are"
-        )
-        return (f"{many} left out, the first: {self.first}",) if self.rows else ()
+        if self.rows == 1:
+            many = "1 row that is wrong is"
+        else:
+            many = f"{self.rows} rows that are wrong are"
+        if self.rows:
+            return (f"{many} left out, the first: {self.first}",)
+        return ()
 
 
 def enforce(origin: Origin, *rules: Rule) -> None:
@@ -81,7 +86,10 @@ def enforce(origin: Origin, *rules: Rule) -> None:
         return
     row, rule = min(broken, key=lambda pair: pair[0])
     others = int(np.count_nonzero(rule.bad)) - 1
-    more = f" ({others} more like it)" if others else ""
+    if others:
+        more = f" ({others} more like it)"
+    else:
+        more = ""
     problem = rule.problem.format(*np.atleast_1d(rule.values[row]).tolist())
     raise InputError(problem + more, where=origin.at(row), cure=rule.cure)
 
@@ -101,8 +109,14 @@ def whole(
     """
     with np.errstate(invalid="ignore"):
         good = (np.floor(values) == values) & (values >= low) & (values <= high)
-    limits = f" of {low:.0f} or more" if low > -_LARGEST else ""
-    limits = f" from {low:.0f} to {high:.0f}" if high < _LARGEST else limits
+    if low > -_LARGEST:
+        limits = f" of {low:.0f} or more"
+    else:
+        limits = ""
+    if high < _LARGEST:
+        limits = f" from {low:.0f} to {high:.0f}"
+    else:
+        limits = limits
     return Rule(
         ~good, f"expected a whole number{limits} for the {name}, came {{:.15g}}", values, cure
     )

@@ -60,7 +60,10 @@ def rows_of_kitti(text: Text, kind: str | None) -> Text:
             continue
         if len(cells) != text.width or not (every or (is_number(cells[3]) and is_number(cells[4]))):
             came = f"the fourth and fifth numbers (truncated, occluded), came {cells[:5]}"
-            came = f"came {len(cells)}" if every else came
+            if every:
+                came = f"came {len(cells)}"
+            else:
+                came = came
             raise InputError(f"expected {text.width} columns, {came}", where=text.origin.at(row))
         more = cells[2:3]
         if not every:
@@ -70,5 +73,9 @@ def rows_of_kitti(text: Text, kind: str | None) -> Text:
             ",".join([*cells[:2], *cells[6:10], cells[17] if text.width == 18 else "1", *more])
         )
         kept.append(row)
-    header = (*_HEADER, "class") if every else (*_HEADER, "distractor", "region")
+    header: tuple[str, ...]
+    if every:
+        header = (*_HEADER, "class")
+    else:
+        header = (*_HEADER, "distractor", "region")
     return replace(text.take(kept), lines=lines, delimiter=",", width=len(header), header=header)

@@ -105,11 +105,10 @@ def _coco(path: Path, content: bytes, left_out: WrongRows | None = None) -> _Coc
         raise InputError(
             f"expected a list of results or a COCO data set, came {_brief(document)}", where=path
         )
-    images = (
-        _entries(path, document, "images", "image", "id and file_name")
-        if "images" in document
-        else []
-    )
+    if "images" in document:
+        images = _entries(path, document, "images", "image", "id and file_name")
+    else:
+        images = []
     given = _list(path, document, "annotations")
     frame_of = _frame_of(path, images)
     for place, one in enumerate(given, start=1):
@@ -167,7 +166,10 @@ def read_annotated(path: Path) -> Annotated:
         raise InputError(f"expected COCO (JSON) or CVAT (XML), came {_brief(content)}", where=path)
     about, pictures, boxes = (_cvat_values if start == b"<" else _coco_values)(path, content)
     # Some programs call the first picture 0 in COCO, too.
-    first = 0 if start == b"<" else min((one["frame"] for one in [*pictures, *boxes]), default=1)
+    if start == b"<":
+        first = 0
+    else:
+        first = min((one["frame"] for one in [*pictures, *boxes]), default=1)
     for one in [*pictures, *boxes]:
         number = one["frame"] + (first < 1)
         if not (number.is_integer() and 1 <= number < 2**53):
@@ -241,7 +243,10 @@ def _cvat_box(box: Element) -> tuple[Element, float, tuple[float, ...]]:
     corners.
     """
     around = {element.name: element for element in box.around}
-    frame = around["image"].number("id") if "image" in around else box.number("frame")
+    if "image" in around:
+        frame = around["image"].number("id")
+    else:
+        frame = box.number("frame")
     return around.get("track", box), frame, tuple(map(box.number, ("xtl", "ytl", "xbr", "ybr")))
 
 
@@ -303,7 +308,10 @@ def _text(path: Path, rows: list[dict[str, str]], numbers: list[int]) -> Text:
 
 def _cell(value: object) -> str:
     """A value of JSON as a cell of a table."""
-    text = "" if value is None else str(int(value) if isinstance(value, bool) else value)
+    if value is None:
+        text = ""
+    else:
+        text = str(int(value) if isinstance(value, bool) else value)
     return re.sub(r'[^\S ]|[,"]', "_", text.strip())
 
 
@@ -329,7 +337,10 @@ def table_of_xml(source: Source) -> Table:
         if not (
             around.keys() & {"track", "image"} if cvat else around.keys() >= {"frame", "object"}
         ):
-            place = "<track> or <image>" if cvat else "<frame> and <object>"
+            if cvat:
+                place = "<track> or <image>"
+            else:
+                place = "<frame> and <object>"
             raise InputError(f"expected <box> inside of {place}, came one outside", where=box.where)
         if cvat:
             track, frame, corners = _cvat_box(box)
@@ -356,7 +367,10 @@ def table_of_xml(source: Source) -> Table:
 def _list(path: Path, document: dict[str, Any], key: str) -> list[Any]:
     if isinstance(document.get(key), list):
         return list(document[key])
-    came = f"{key} = {_brief(document[key])}" if key in document else f"keys {', '.join(document)}"
+    if key in document:
+        came = f"{key} = {_brief(document[key])}"
+    else:
+        came = f"keys {', '.join(document)}"
     raise InputError(f"expected a COCO data set with a list of {key}, came {came}", where=path)
 
 
@@ -431,4 +445,6 @@ def _number(value: object, name: str, where: str) -> float:
 
 def _brief(value: object) -> str:
     text = reprlib.repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
+    if len(text) <= 40:
+        return text
+    return f"{text[:37]}..."

@@ -80,7 +80,10 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
         left_out.take(error, *table.origin.number[bad].tolist())
         table = table.take(~bad)
         label = label[~bad]
-        covariance = None if covariance is None else covariance[~bad]
+        if covariance is None:
+            covariance = None
+        else:
+            covariance = covariance[~bad]
     if left_out is not None and left_out.first is not None and not len(label):
         raise left_out.first
     frame = frames_of(table)
@@ -166,13 +169,22 @@ def table_of(
         return table_of_parquet(source)
     if start.startswith(b"<"):
         return table_of_xml(source)
-    lines = rows_of_json(source) if start.startswith(b"{") else None
+    if start.startswith(b"{"):
+        lines = rows_of_json(source)
+    else:
+        lines = None
     if lines is None and start.startswith((b"[", b"{")):
         return table_of_coco(source)
-    text = scan(path, content) if lines is None else lines
+    if lines is None:
+        text = scan(path, content)
+    else:
+        text = lines
     if is_kitti(text):
         source = source._replace(first=0 if first_frame is None else first_frame)
-        text = text if left_out is None else text.readable({}, left_out)
+        if left_out is None:
+            text = text
+        else:
+            text = text.readable({}, left_out)
         rows = rows_of_kitti(text, kitti if kitti or kind is Kind.TRUTH else None)
         return replace(table_of_text(source, rows), kitti=True)
     if kitti and kind is Kind.TRUTH:
@@ -201,7 +213,10 @@ def identified(table: Table, *rules: Rule) -> tuple[I8, I8]:
     before = repeated(identity, frame)
     problem = f"identity {{}} is in frame {{}} (counted from 1) already, in {origin.unit} {{}}"
     cure = "One object has one box in a frame: remove one, or give it an identity of its own."
-    earlier = origin.number[before] if len(before) else before
+    if len(before):
+        earlier = origin.number[before]
+    else:
+        earlier = before
     enforce(origin, Rule(before >= 0, problem, np.stack([identity, frame, earlier], axis=1), cure))
     return frame, identity
 
@@ -215,11 +230,10 @@ def box_rules(table: Table, *, least: float | None = None) -> list[Rule]:
     box = table.xyxy()
     confidence = table.get(Column.CONFIDENCE)
     number = whole(frame, "frame number")
-    cure = (
-        "Where the file counts from 0, add 1, or in Python read it with first_frame=0."
-        if first == 1
-        else ""
-    )
+    if first == 1:
+        cure = "Where the file counts from 0, add 1, or in Python read it with first_frame=0."
+    else:
+        cure = ""
     with np.errstate(invalid="ignore", over="ignore"):
         early = frame < first
         size = box[:, 2:] - box[:, :2]

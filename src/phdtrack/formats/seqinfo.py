@@ -22,11 +22,16 @@ def find_seqinfo(path: AnyPath) -> SequenceInfo | None:
     where there is none. Raises `InputError` where there is one, and it is malformed.
     """
     path = Path(path).absolute()
-    folder = path if path.is_dir() else path.parent
+    if path.is_dir():
+        folder = path
+    else:
+        folder = path.parent
     found = next(
         (place / _NAME for place in (folder, folder.parent) if (place / _NAME).is_file()), None
     )
-    return None if found is None else read_seqinfo(found)
+    if found is None:
+        return None
+    return read_seqinfo(found)
 
 
 def read_seqinfo(path: AnyPath) -> SequenceInfo:
@@ -37,7 +42,10 @@ def read_seqinfo(path: AnyPath) -> SequenceInfo:
     missing or not above 0.
     """
     path = Path(path)
-    path = path / _NAME if path.is_dir() else path
+    if path.is_dir():
+        path = path / _NAME
+    else:
+        path = path
     ini = configparser.ConfigParser(interpolation=None)
     try:
         text = load(path).decode("utf-8-sig")
@@ -46,7 +54,10 @@ def read_seqinfo(path: AnyPath) -> SequenceInfo:
         raise InputError("expected UTF-8 text, came other bytes", where=path) from None
     except configparser.Error as error:
         line = re.search(r"line[: ]+(\d+)", str(error))
-        where = f"{path}, line {line[1]}" if line else path
+        if line:
+            where = f"{path}, line {line[1]}"
+        else:
+            where = str(path)
         reason = str(error.message).splitlines()[0]
         raise InputError(
             f"expected lines such as frameRate=25 under [Sequence], came: {reason}", where=where

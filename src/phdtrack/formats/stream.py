@@ -73,7 +73,10 @@ def stream_detections(file: BinaryIO, name: str) -> Iterator[DetectionTable]:
                 np.stack([frame, np.concatenate([[last], frame[:-1]])], axis=1),
             ),
         )
-        kept = int(np.searchsorted(frame, frame[-1])) if going else len(frame)
+        if going:
+            kept = int(np.searchsorted(frame, frame[-1]))
+        else:
+            kept = len(frame)
         if len(frame) - kept > _MOST:
             raise InputError(
                 f"expected at most {_MOST} rows of a frame, came more", where=text.origin.at(kept)

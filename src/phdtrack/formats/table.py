@@ -176,7 +176,9 @@ class Table:
         with np.errstate(invalid="ignore", over="ignore"):
             if form is _CENTRE_SIZE:
                 return np.hstack([box[:, :2] - box[:, 2:] / 2, box[:, :2] + box[:, 2:] / 2])
-            return box if form is _CORNERS else np.hstack([box[:, :2], box[:, :2] + box[:, 2:]])
+            if form is _CORNERS:
+                return box
+            return np.hstack([box[:, :2], box[:, :2] + box[:, 2:]])
 
 
 def table_of_text(source: Source, text: Text) -> Table:
@@ -219,7 +221,10 @@ def table_of_parquet(source: Source) -> Table:
     for k, at in enumerate(layout.at):
         try:
             cells = table.column(at)
-            words = cells.to_pylist() if layout.columns[k : k + 1] == [Column.CLASS] else []
+            if layout.columns[k : k + 1] == [Column.CLASS]:
+                words = cells.to_pylist()
+            else:
+                words = []
             if any(isinstance(word, str) for word in words):
                 names = dict(enumerate(sorted({str(word) for word in words} - {"None"}), start=1))
                 number = {word: one for one, word in names.items()}
@@ -250,11 +255,9 @@ def _kind(source: Source, text: Text) -> Kind:
         problem = f"column 2 is the identity, a whole number (-1 where there is none), came {cell}"
         cure = "Give frame, id, left, top, width, height, score in this order, or name the columns in a header line."
         raise InputError(problem, where=text.origin.at(0), cure=cure)
-    return (
-        Kind.TRACKS
-        if text.width in (12, 13) and is_number(cell) and float(cell) >= 0
-        else source.kind
-    )
+    if text.width in (12, 13) and is_number(cell) and float(cell) >= 0:
+        return Kind.TRACKS
+    return source.kind
 
 
 def _by_position(kind: Kind, width: int) -> list[str]:
@@ -329,7 +332,9 @@ def _word(text: Text, layout: _Layout) -> int:
         -1,
     )
     cells = (text.cells(row)[at : at + 1] for row in range(len(text)))
-    return at if at >= 0 and not is_number(next((one[0] for one in cells if one), "0")) else -1
+    if at >= 0 and not is_number(next((one[0] for one in cells if one), "0")):
+        return at
+    return -1
 
 
 def _numbered(

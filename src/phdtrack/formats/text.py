@@ -95,7 +95,10 @@ def scan(path: Path, content: bytes) -> Text:
     delimiter = next((d for d in ";\t," if d in lines[0]), None)
     first = _split(lines[0], delimiter)
     named = not any(is_number(cell) for cell in first)
-    header = tuple(normalise(cell) for cell in first) if named else ()
+    if named:
+        header = tuple(normalise(cell) for cell in first)
+    else:
+        header = ()
     return Text(
         Origin(path, "line", number[named:]), lines[named:], delimiter, _filled(first), header
     )
@@ -139,12 +142,14 @@ def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> 
     widths : how many of them, from the first, a file may have.
     """
     text = scan(Path(path), load(path))
-    found = (
-        [name for name in names if name in text.header]
-        if text.header
-        else list(names[: text.width or min(widths)])
-    )
-    width = len(found) if text.header or not len(text) else text.width
+    if text.header:
+        found = [name for name in names if name in text.header]
+    else:
+        found = list(names[: text.width or min(widths)])
+    if text.header or not len(text):
+        width = len(found)
+    else:
+        width = text.width
     if (
         width not in widths
         or found != list(names[:width])
@@ -152,9 +157,15 @@ def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> 
     ):
         wanted = " or ".join(map(str, widths))
         came = ", ".join(text.header) or f"{width} numbers a line"
-        where = text.origin.at(0) if len(text) else str(path)
+        if len(text):
+            where = text.origin.at(0)
+        else:
+            where = str(path)
         raise InputError(f"expected {wanted} columns, {', '.join(names)}; came {came}", where=where)
-    at = [text.header.index(name) for name in found] if text.header else range(width)
+    if text.header:
+        at = [text.header.index(name) for name in found]
+    else:
+        at = list(range(width))
     return text.origin, numbers(text, dict(zip(at, found, strict=True)))
 
 
@@ -162,13 +173,19 @@ def _parse(text: Text, row: int, columns: Mapping[int, str]) -> list[float]:
     """The values of one line."""
     cells = text.cells(row)
     if len(cells) != text.width:
-        first = "header" if text.header else "first line"
+        if text.header:
+            first = "header"
+        else:
+            first = "first line"
         problem = f"expected {text.width} values as in the {first}, came {_filled(cells)}"
         cure = "A line cut short is what an interrupted program leaves: mend or remove it."
         raise InputError(problem, where=text.origin.at(row), cure=cure)
     for column, label in columns.items():
         if not is_number(cells[column]):
-            came = f"'{cells[column][:40]}'" if cells[column] else "nothing"
+            if cells[column]:
+                came = f"'{cells[column][:40]}'"
+            else:
+                came = "nothing"
             problem = f"expected a number for the {label} (column {column + 1}), came {came}"
             cure = "Numbers are written as 12 or 12.5, with a point."
             raise InputError(problem, where=text.origin.at(row), cure=cure)
@@ -178,11 +195,10 @@ def _parse(text: Text, row: int, columns: Mapping[int, str]) -> list[float]:
 def _split(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return [cell.strip('"') for cell in line.split()]
-    parts = (
-        next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-        if '"' in line
-        else line.split(delimiter)
-    )
+    if '"' in line:
+        parts = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    else:
+        parts = line.split(delimiter)
     return [cell.strip() for cell in parts]
 
 

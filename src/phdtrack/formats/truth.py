@@ -100,7 +100,10 @@ def _truth_of(table: Table, path: Path) -> Truth:
     frame, identity = identified(table, *rules)
     order = np.argsort(frame, kind="stable")
     order = order[(confidence[order] != 0) | (ignore[order] != 0)]
-    height = LEAST_HEIGHT if table.kitti else 0.0
+    if table.kitti:
+        height = LEAST_HEIGHT
+    else:
+        height = 0.0
     return Truth(
         frame[order], identity[order], table.xyxy()[order], ignore[order] != 0, regions, height
     )
@@ -114,7 +117,10 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
     path = Path(path)
     text = _list(scan(path, load(path)))
     # Frame 0 stands for all frames.
-    table = table_of_text(Source(path, b"", Kind.IGNORED, 0), text) if len(text) else NO_ROWS
+    if len(text):
+        table = table_of_text(Source(path, b"", Kind.IGNORED, 0), text)
+    else:
+        table = NO_ROWS
     enforce(table.origin, *box_rules(table), whole(table.get(Column.IDENTITY), "identity", low=-1))
     region = table.get(Column.IDENTITY) < 0
     distractors = table.take(~region)

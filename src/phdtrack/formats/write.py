@@ -90,11 +90,10 @@ class Lines:
             for block in columns
             for column in (block.T if block.ndim == 2 else block[None])
         ]
-        text = (
-            "".join([pattern % row + "\n" for row in zip(*values, strict=True)])
-            if width
-            else f"{pattern}\n"
-        )
+        if width:
+            text = "".join([pattern % row + "\n" for row in zip(*values, strict=True)])
+        else:
+            text = f"{pattern}\n"
         if not text or not self._whole:
             return
         data = memoryview(text.encode("utf-8"))
@@ -154,9 +153,15 @@ class TracksWriter(_Classed):
         """Write the rows as they come, of one frame or many; ``place`` (2, M) on the ground, NaN
         where not known.
         """
-        place = np.full((2, len(tracks)), np.nan) if place is None else place
+        if place is None:
+            place = np.full((2, len(tracks)), np.nan)
+        else:
+            place = place
         known = np.isfinite(place).all(axis=0)
-        classes = [] if self._names is None else [self.labels(tracks.class_id)]
+        if self._names is None:
+            classes = []
+        else:
+            classes = [self.labels(tracks.class_id)]
         self.write(
             _TRACK + ",%s" * len(classes),
             tracks.frame,
@@ -301,11 +306,10 @@ def export_tracks(
     """
     path = Path(path)
     info = info or SequenceInfo(0, 0, 0.0)
-    info = (
-        replace(info, frames=max(info.frames, int(tracks.frame.max(initial=0))))
-        if info.frames
-        else info
-    )
+    if info.frames:
+        info = replace(info, frames=max(info.frames, int(tracks.frame.max(initial=0))))
+    else:
+        info = info
     classes = np.unique(tracks.class_id).tolist()
     words = {
         k: re.sub(r'[^\S ]|[,;"]', "_", (names or {}).get(k, f"class_{k}" if k else "object"))
@@ -368,8 +372,14 @@ def _coco(
 ) -> dict[str, Any]:
     """A COCO data set: an image for each frame of the sequence, an annotation for each row."""
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    frames = range(1, info.frames + 1) if info.frames else np.unique(tracks.frame).tolist()
-    size = {"width": info.width, "height": info.height} if info.width else {}
+    if info.frames:
+        frames = range(1, info.frames + 1)
+    else:
+        frames = np.unique(tracks.frame).tolist()
+    if info.width:
+        size = {"width": info.width, "height": info.height}
+    else:
+        size = {}
     return {
         "images": [
             {"id": number, "file_name": f"{number:06d}.jpg", "frame_id": number, **size}
@@ -401,11 +411,10 @@ def _cvat(tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> list[
     outside at its end.
     """
     labels = "".join(f"<label><name>{escape(word)}</name></label>" for word in words.values())
-    size = (
-        f"<original_size><width>{info.width}</width><height>{info.height}</height></original_size>"
-        if info.width
-        else ""
-    )
+    if info.width:
+        size = f"<original_size><width>{info.width}</width><height>{info.height}</height></original_size>"
+    else:
+        size = ""
     task = f"<task><size>{info.frames}</size><mode>interpolation</mode><labels>{labels}</labels>{size}</task>"
     lines = [
         '<?xml version="1.0" encoding="utf-8"?>',

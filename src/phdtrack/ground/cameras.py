@@ -135,7 +135,10 @@ def _columns(points: F8, most: int) -> F8:
     """The points as (2, N) numbers, or at ``most`` (3, N); `InputError` for another shape."""
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or not 2 <= len(points) <= most:
-        expected = "(2, N)" if most == 2 else "(2, N) or (3, N)"
+        if most == 2:
+            expected = "(2, N)"
+        else:
+            expected = "(2, N) or (3, N)"
         raise InputError(
             f"expected points as columns, {expected}, got {points.shape}", where="camera"
         )
@@ -443,7 +446,10 @@ class PosedCamera:
 
     def _in_camera(self, world: F8) -> F8:
         world = _columns(world, 3)
-        height = self.surface.height(world) if len(world) == 2 else world[2]
+        if len(world) == 2:
+            height = self.surface.height(world)
+        else:
+            height = world[2]
         return np.asarray(
             self.rotation @ np.vstack([world[:2], height]) + self.translation[:, None]
         )

@@ -248,7 +248,10 @@ def read_camera(path: AnyPath, form: MatrixForm | None = None) -> Camera:
         if error.where.startswith(str(path)):
             raise
         # What is wrong with a part of the file: its name is said here, once for all.
-        where = f"{path}, {error.where}" if error.where else path
+        if error.where:
+            where = f"{path}, {error.where}"
+        else:
+            where = str(path)
         raise InputError(error.problem, where=where, cure=error.cure) from None
 
 
@@ -261,7 +264,10 @@ def calibration_text(fitted: Calibration, frame_size: tuple[int, int] | None = N
     )
     off = np.max(fitted.ground_error)
     missed = np.max(fitted.pixel_error)
-    of = f" of a frame of {frame_size[0]}x{frame_size[1]}" if frame_size else ""
+    if frame_size:
+        of = f" of a frame of {frame_size[0]}x{frame_size[1]}"
+    else:
+        of = ""
     return (
         f"# Fitted to {len(fitted.pixel_error)} points{of}; the worst is {missed:.2f} pixels and {off:.3f} m off.\n"
         f"homography = [\n{rows},\n]\n"
@@ -325,7 +331,10 @@ def _described(path: Path, values: Description, nested: bool) -> Camera:
     elif kinds == ["file"]:
         camera = _read(path.parent / values["file"], MatrixForm(**form), nested=True)
     else:
-        inside = tuple(_array(values, "inside", (2,)).tolist()) if "inside" in values else None
+        if "inside" in values:
+            inside = tuple(_array(values, "inside", (2,)).tolist())
+        else:
+            inside = None
         camera = _homography_camera(
             _array(values, "homography", (3, 3)), MatrixForm(**form), inside
         )
@@ -341,7 +350,10 @@ def _homography_camera(
     matrix: F8, form: MatrixForm, inside: tuple[float, float] | None = None
 ) -> HomographyCamera:
     """The camera of a matrix in the given form, which refuses one that cannot be inverted."""
-    h = matrix.T if form.vectors == "row" else matrix
+    if form.vectors == "row":
+        h = matrix.T
+    else:
+        h = matrix
     if form.maps == "ground-to-pixel":
         with suppress(np.linalg.LinAlgError):
             h = np.linalg.inv(h).astype(np.float64)
@@ -379,7 +391,10 @@ def _opencv_camera(values: Description) -> PosedCamera:
 
 def _array(values: Description, name: str, shape: tuple[int, ...] | None = None) -> F8:
     """The numbers of a key, in the given shape, or in one row where none is given."""
-    wanted = " x ".join(map(str, shape)) + " numbers" if shape else "a list of numbers"
+    if shape:
+        wanted = " x ".join(map(str, shape)) + " numbers"
+    else:
+        wanted = "a list of numbers"
     try:
         value = np.asarray(values[name], dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
@@ -429,7 +444,9 @@ def _storage(text: str) -> Description:
             return node.mat()
         if node.isSeq():
             return [value(node.at(i)) for i in range(node.size())]
-        return node.string() if node.isString() else node.real()
+        if node.isString():
+            return node.string()
+        return node.real()
 
     try:
         # An instruction such as %YAML 1.2 is written by other programs; OpenCV reads its own only.
@@ -441,11 +458,10 @@ def _storage(text: str) -> Description:
     except (cv2.error, SystemError) as error:
         reason = str(error.__cause__ or error).strip().splitlines()[0]
         place = re.search(r"\((\d+)\): ", reason)
-        where = (
-            f"line {place[1]}"
-            if place and "persistence" not in reason.partition(place[0])[0][-20:]
-            else ""
-        )
+        if place and "persistence" not in reason.partition(place[0])[0][-20:]:
+            where = f"line {place[1]}"
+        else:
+            where = ""
         raise InputError(
             "expected a file as cv2.FileStorage writes it, which OpenCV cannot read", where=where
         ) from None

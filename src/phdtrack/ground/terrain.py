@@ -174,7 +174,10 @@ class Terrain:
         of it.
         """
         x, y, z = (origin[k] + s * direction[k] for k in range(3))
-        side = 1.0 if origin[2] >= self._levels[1] else -1.0
+        if origin[2] >= self._levels[1]:
+            side = 1.0
+        else:
+            side = -1.0
         return np.asarray(side * (z - self._patch(x, y)[0]))
 
     def _first_crossing(self, origin: F8, direction: F8) -> tuple[F8, F8]:

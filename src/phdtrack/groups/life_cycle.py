@@ -100,7 +100,10 @@ class GroupLifeCycle(Checked):
         moves = list[tuple[int, int, When]]()
         for person, group in zip(member.tolist(), proposed.tolist(), strict=True):
             old = members.get(person, Member(group, group, now, now))
-            since = old.since if group == old.proposed else now
+            if group == old.proposed:
+                since = old.since
+            else:
+                since = now
             accepted = group != old.group and time - since[1] >= self.hold_time
             if accepted:
                 moves.append((old.group, group, since))

@@ -74,7 +74,10 @@ class _Known(NamedTuple):
     def at(self, key: I8) -> tuple[F8, F8]:
         """Value and time of each key, NaN where it is not known."""
         place = np.minimum(self.key.searchsorted(key), max(len(self.key) - 1, 0))
-        known = self.key[place] == key if len(self.key) else np.zeros(len(key), np.bool_)
+        if len(self.key):
+            known = self.key[place] == key
+        else:
+            known = np.zeros(len(key), np.bool_)
         if not known.any():
             return np.full(len(key), np.nan), np.full(len(key), np.nan)
         return np.where(known, self.value[place], np.nan), np.where(known, self.time[place], np.nan)

@@ -248,7 +248,10 @@ def mixture_of(
     stages : of the run.
     lightest : smallest weight of a cluster of particles.
     """
-    points = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
+    if isinstance(intensity, Cardinalised):
+        points = intensity.intensity
+    else:
+        points = intensity
     if isinstance(points, GaussianMixture):
         return points
     found = step.estimates
@@ -289,7 +292,10 @@ class OnlineGroups:
     def __init__(self, groups: GroupStages, stages: AnyStages, first: int = 1) -> None:
         self._groups = groups
         self._stages = stages
-        self._light = 0.0 if isinstance(groups.grouping, Pairs) else groups.grouping.min_weight
+        if isinstance(groups.grouping, Pairs):
+            self._light = 0.0
+        else:
+            self._light = groups.grouping.min_weight
         self._pairs = PairState()
         self._life = LifeCycleState(following=first)
 

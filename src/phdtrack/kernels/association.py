@@ -185,12 +185,18 @@ def augment(edges: Edges, row: int, first: int, banned: Bool, x: Matching, paths
     if shortest == np.inf:
         return False
     if end < 0:
-        end = -1 if loser == row else x.column[loser]
+        if loser == row:
+            end = -1
+        else:
+            end = x.column[loser]
         x.column[loser] = -1
     # Flip the matching along the path, from its end back to the new row.
     while end >= 0:
         owner = via[end]
-        before = -1 if owner == row else x.column[owner]
+        if owner == row:
+            before = -1
+        else:
+            before = x.column[owner]
         x.column[owner] = end
         x.row[end] = owner
         end = before
@@ -261,7 +267,9 @@ def _bound(edges: Edges, row: int, fixed: int, banned: Bool, choice: I8, u: F8, 
     ``fixed`` is the row of the node to which ``banned`` applies; the columns of rows before ``row``
     are taken.
     """
-    least = -u[row] if choice[row] >= 0 and not (row == fixed and banned[-1]) else np.inf
+    least = np.inf
+    if choice[row] >= 0 and not (row == fixed and banned[-1]):
+        least = -u[row]
     for e in range(edges.start[row], edges.start[row + 1]):
         c = edges.target[e]
         slack = -edges.gain[e] - u[row] - v[c]
@@ -297,7 +305,10 @@ def _keep(
     """Keep the assignment as an open node, where its value ``total`` is ``least`` or more and there
     is room.
     """
-    at = _place(nodes.status, nodes.value, total) if total > -np.inf and total >= least else -1
+    if total > -np.inf and total >= least:
+        at = _place(nodes.status, nodes.value, total)
+    else:
+        at = -1
     if at >= 0:
         nodes.status[at] = OPEN
         nodes.value[at] = total
@@ -544,14 +555,20 @@ def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
         for k in range(count):
             edge = edges[live[k]]
             others = seen[edge.target] - edge.odds * edge.nu
-            edge.mu = edge.odds / (1.0 + others) if others > 0.0 else edge.odds
+            if others > 0.0:
+                edge.mu = edge.odds / (1.0 + others)
+            else:
+                edge.mu = edge.odds
             claimed[edge.measurement] += edge.mu
         turn += 1
         change = 0.0
         for k in range(count):
             edge = edges[live[k]]
             others = claimed[edge.measurement] - edge.mu
-            value = 1.0 / (1.0 + others) if others > 0.0 else 1.0
+            if others > 0.0:
+                value = 1.0 / (1.0 + others)
+            else:
+                value = 1.0
             step = abs(value - edge.nu)
             edge.nu = value
             moved[edge.island] = step if step > moved[edge.island] else moved[edge.island]

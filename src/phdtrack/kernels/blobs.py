@@ -177,7 +177,12 @@ def mirrored(k: int, size: int) -> int:
     pixels.
     """
     while k < 0 or k >= size:
-        k = 0 if size == 1 else (-k if k < 0 else 2 * size - 2 - k)
+        if size == 1:
+            k = 0
+        elif k < 0:
+            k = -k
+        else:
+            k = 2 * size - 2 - k
     return k
 
 

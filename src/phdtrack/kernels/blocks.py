@@ -54,7 +54,10 @@ def summarise(state: Real, weight: Real, start: I8) -> Blocks:
     """
     d = state.shape[0]
     blocks = start.size - 1
-    unit = float(weight[0]) if weight.size == 1 else 1.0
+    if weight.size == 1:
+        unit = float(weight[0])
+    else:
+        unit = 1.0
     mass = np.zeros(blocks)
     low = np.zeros((blocks, d))
     high = np.zeros((blocks, d))
@@ -62,7 +65,10 @@ def summarise(state: Real, weight: Real, start: I8) -> Blocks:
     first = np.zeros((blocks, d))
     second = np.zeros((blocks, d, d))
     even = d + d % 2
-    widest = whole(max(np.max(np.diff(start)), 1)) if blocks > 0 else LANES
+    if blocks > 0:
+        widest = whole(max(np.max(np.diff(start)), 1))
+    else:
+        widest = LANES
     row = np.zeros((2 * even + 1, widest), state.dtype)
     zero = np.zeros(d)
     for b in range(blocks):
@@ -273,7 +279,10 @@ def claim(blocks: Blocks, free: Bool, asked: I8, low: F8, high: F8) -> tuple[F8,
                 if not (inside and left[i]):
                     continue
                 left[i] = False
-                weight = blocks.weight[i] if blocks.weight.size > 1 else blocks.weight[0]
+                if blocks.weight.size > 1:
+                    weight = blocks.weight[i]
+                else:
+                    weight = blocks.weight[0]
                 mass += weight
                 for r in range(d):
                     # About the asked particle: sums far from the origin lose their digits.

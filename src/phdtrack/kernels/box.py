@@ -46,7 +46,10 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
     k = 0 * n
     for p in range(n):
         right = boxes[order[p], 2]
-        farthest = right if right > farthest else farthest
+        if right > farthest:
+            farthest = right
+        else:
+            farthest = farthest
         place[order[p]] = p
         reach[p] = farthest
     for j in range(n):
@@ -132,7 +135,10 @@ def agreement(
                 step = (m - z) / side
                 told = (a - (b - a) * ratio - z) / side
                 sums[part, 2] += 1
-                most = sums[part, 2] if sums[part, 2] < MEMORY else MEMORY
+                if sums[part, 2] < MEMORY:
+                    most = sums[part, 2]
+                else:
+                    most = MEMORY
                 sums[part, 3] += (abs(step) - sums[part, 3]) / most
                 share = step / (LARGE * sums[part, 3] + TINY_VARIANCE)
                 weight = 1 / (1 + share * share)
@@ -240,16 +246,25 @@ def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F
             for s in range(d):
                 out_cov[i, s, a] += dt * out_cov[i, s, a + 2]
             size = mean[i, a + 4]
-            unit = size if size > motion.min_size else motion.min_size
+            if size > motion.min_size:
+                unit = size
+            else:
+                unit = motion.min_size
             unit = unit * unit if motion.scaled else 1.0
-            agile = unit * factor[i] if len(factor) > 0 else unit
+            if len(factor) > 0:
+                agile = unit * factor[i]
+            else:
+                agile = unit
             out_cov[i, a, a] += motion.position * agile
             out_cov[i, a, a + 2] += motion.mixed * agile
             out_cov[i, a + 2, a] += motion.mixed * agile
             out_cov[i, a + 2, a + 2] += motion.velocity * agile
             out_cov[i, a + 4, a + 4] += motion.extent * unit
             half = 0.5 * size
-            end = motion.width if a == 0 else motion.height
+            if a == 0:
+                end = motion.width
+            else:
+                end = motion.height
             inside &= -half < mean[i, a] < end + half
         p_survive[i] = motion.p_survive if inside or not bordered else 0.0
     return Predicted(out_mean, out_cov, p_survive)
@@ -276,7 +291,10 @@ def moved_boxes(
         jacobian[a, a + 2] = dt
         for n in range(x.shape[1]):
             mean[a, n] += dt * x[a + 2, n]
-            size = min_size if x[a + 4, n] < min_size else x[a + 4, n]
+            if x[a + 4, n] < min_size:
+                size = min_size
+            else:
+                size = x[a + 4, n]
             unit = size * size if scaled else 1.0
             noise[a, a, n] = position * unit
             noise[a, a + 2, n] = noise[a + 2, a, n] = mixed * unit
@@ -298,8 +316,14 @@ def box_variances(noise: BoxNoise, w: float, h: float) -> tuple[float, float, fl
     # Without a floor the noise of a vanishing box would be none, and no density.
     vw = sw * sw
     vh = sh * sh
-    vw = vw if vw > TINY_VARIANCE else TINY_VARIANCE
-    vh = vh if vh > TINY_VARIANCE else TINY_VARIANCE
+    if vw > TINY_VARIANCE:
+        vw = vw
+    else:
+        vw = TINY_VARIANCE
+    if vh > TINY_VARIANCE:
+        vh = vh
+    else:
+        vh = TINY_VARIANCE
     px = 0.25 * vw
     py = 0.25 * vh
     return (
@@ -349,9 +373,15 @@ def states_of_boxes(z: F8, noise: Noise, speed: float) -> tuple[F8, F8]:
         here = box_variances(noise, z[2, j], z[3, j])
         if noise.scaling == GIVEN:
             here = z[4, j], z[5, j], z[6, j], z[7, j]
-        size = 1.0 if noise.scaling == FIXED else np.sqrt(z[2, j] * z[3, j])
+        if noise.scaling == FIXED:
+            size = 1.0
+        else:
+            size = np.sqrt(z[2, j] * z[3, j])
         moving = speed * size
-        moving = moving * moving if moving > LEAST_SPEED else LEAST_SPEED * LEAST_SPEED
+        if moving > LEAST_SPEED:
+            moving = moving * moving
+        else:
+            moving = LEAST_SPEED * LEAST_SPEED
         for a in range(2):
             x[a, j] = z[a, j]
             cov[j, a, a] = here[a]

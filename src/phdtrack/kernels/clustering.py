@@ -47,7 +47,10 @@ def clusters(gain: F8) -> I8:
         for a in range(count):
             for b in range(count):
                 part[a, b] = gain[nodes[a], nodes[b]]
-        label = _best(part) if count <= EXACT else _merged(part)
+        if count <= EXACT:
+            label = _best(part)
+        else:
+            label = _merged(part)
         first_of = np.full(count, -1, np.int64)
         for a in range(count):
             if first_of[label[a]] < 0:

@@ -108,12 +108,18 @@ def after_frame(
     while i < n or k < m:
         # The next label: j is its state, −1 where it has none now; i is its place where it was
         # followed before.
-        j = order[k] if k < m and (i == n or tag[order[k]] <= label[i]) else -1
+        if k < m and (i == n or tag[order[k]] <= label[i]):
+            j = order[k]
+        else:
+            j = -1
         old = i < n and (j < 0 or tag[j] == label[i])
         found = j >= 0 and when[j] >= now
         late = old and now - last[i] > patience
         if old and age[i] > 0 and (found or late):
-            row = 0 if found and overlap_of(ahead, i, seen, j) >= OVERLAP else 1
+            if found and overlap_of(ahead, i, seen, j) >= OVERLAP:
+                row = 0
+            else:
+                row = 1
             for s in range(step[i] + 1):
                 verdicts[0, s] *= kept
                 verdicts[1, s] *= kept

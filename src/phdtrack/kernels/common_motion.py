@@ -72,7 +72,10 @@ def differences(mean: F8, covariance: F8, noise: F8, z: F8, scale: F8) -> tuple[
         for k in range(4):
             row = rows[k]
             own = covariance[i, row, row] + noise[min(i, len(noise) - 1), k, k]
-            size = max(mean[i, row], 1e-3) if k > 1 else 1.0
+            if k > 1:
+                size = max(mean[i, row], 1e-3)
+            else:
+                size = 1.0
             expected[i, k] = math.log(size) if k > 1 else mean[i, row]
             variance[i, k] = max(scale[k] * own / (size * size), 1e-9)
     for j in range(len(z)):

@@ -196,7 +196,9 @@ def by_type(single: Callable[..., Any], double: Callable[..., Any]) -> Callable[
 
     @wraps(single)
     def typed(*args: Any) -> Callable[..., Any]:
-        return single if args[-1] in (types.float32, types.int32) else double
+        if args[-1] in (types.float32, types.int32):
+            return single
+        return double
 
     overload(chosen, jit_options=VECTOR)(typed)
     return chosen

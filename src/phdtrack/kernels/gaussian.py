@@ -121,7 +121,9 @@ def records(floats: str, integers: str) -> np.dtype[np.void]:
     them as attributes.
     """
     fields = [(name, "f8") for name in floats.split()] + [(name, "i8") for name in integers.split()]
-    return np.dtype((np.record, fields)) if config.DISABLE_JIT else np.dtype(fields)
+    if config.DISABLE_JIT:
+        return np.dtype((np.record, fields))
+    return np.dtype(fields)
 
 
 # A Gaussian and a measurement within the gate of each other: d², the first two components' part of
@@ -282,7 +284,10 @@ def places_of(z: F8, period: Axes) -> tuple[Records, I8, int, int, float, float,
             low = least
             widest = most - least
             near = True
-    across = 1 - along if len(period) > 1 and period[1 - along] == 0.0 else along
+    if len(period) > 1 and period[1 - along] == 0.0:
+        across = 1 - along
+    else:
+        across = along
     count = n if near else 1
     scale = count / widest if near else 0.0
     begin = np.empty(count + 1, np.int64)
@@ -352,8 +357,14 @@ def gated(
     wide = 0.0
     high = 0.0
     for j in range(len(extra)):
-        wide = extra[j, along, along] if extra[j, along, along] > wide else wide
-        high = extra[j, across, across] if extra[j, across, across] > high else high
+        if extra[j, along, along] > wide:
+            wide = extra[j, along, along]
+        else:
+            wide = wide
+        if extra[j, across, across] > high:
+            high = extra[j, across, across]
+        else:
+            high = high
     row = rows[along]
     other = rows[across]
     found = 0 * len(z)
@@ -371,8 +382,14 @@ def gated(
         if len(tails) > 0:
             reach = reach * tails[i, 0]
             width = width * tails[i, 0]
-        reach = gate * np.sqrt(reach) if near else np.inf
-        width = gate * np.sqrt(width) if near else np.inf
+        if near:
+            reach = gate * np.sqrt(reach)
+        else:
+            reach = np.inf
+        if near:
+            width = gate * np.sqrt(width)
+        else:
+            width = np.inf
         x = seen[i, row]
         middle = seen[i, other]
         log_det = 0.0
@@ -395,7 +412,10 @@ def gated(
             reached = d2
             value = -0.5 * (d2 + log_det)
             if len(tails) > 0:
-                first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1] if len(period) > 2 else d2
+                if len(period) > 2:
+                    first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
+                else:
+                    first = d2
                 reached, value = with_tails(
                     first, d2 - first, len(period), tails[i, 0], tails[i, 1], tails[i, 2]
                 )
@@ -514,18 +534,33 @@ def first_states(
         for q in range(pairs.size + n):
             from_given = q < pairs.size
             k = q if from_given else q - pairs.size
-            j = pairs[k].measurement if from_given else k
-            weight = pairs[k].weight if from_given else p_detect[j] * around.density[j]
+            if from_given:
+                j = pairs[k].measurement
+            else:
+                j = k
+            if from_given:
+                weight = pairs[k].weight
+            else:
+                weight = p_detect[j] * around.density[j]
             if not weight > 0.0:
                 continue
             share = weight / density[j]
             for a in range(d):
-                state = states[k, a] if from_given else around.mean[j, a]
+                if from_given:
+                    state = states[k, a]
+                else:
+                    state = around.mean[j, a]
                 if turn == 0:
                     mean[j, a] += share * state
                     continue
                 for b in range(d):
-                    other = states[k, b] if from_given else around.mean[j, b]
-                    value = covs[k, a, b] if from_given else around.covariance[j, a, b]
+                    if from_given:
+                        other = states[k, b]
+                    else:
+                        other = around.mean[j, b]
+                    if from_given:
+                        value = covs[k, a, b]
+                    else:
+                        value = around.covariance[j, a, b]
                     cov[j, a, b] += share * (value + (state - mean[j, a]) * (other - mean[j, b]))
     return NewTargets(density, mean, cov)

@@ -272,7 +272,10 @@ def _united(
     total = 0.0
     for k in range(size):
         total += mass[kept[k] if capped else k]
-    scale = wanted / total if wanted >= 0.0 and total > 0.0 else 1.0
+    if wanted >= 0.0 and total > 0.0:
+        scale = wanted / total
+    else:
+        scale = 1.0
     out_mass = np.empty(size)
     out_mean = np.empty((d, size))
     out_cov = np.empty((size, d, d))
@@ -287,7 +290,10 @@ def _united(
             step[r] = 0.0 if single else about[g, r] * share
             out_mean[r, k] = x[i, r] + step[r]
             for s in range(r + 1):
-                value = cov[i, r, s] if single else spread[g, r, s] * share - step[r] * step[s]
+                if single:
+                    value = cov[i, r, s]
+                else:
+                    value = spread[g, r, s] * share - step[r] * step[s]
                 out_cov[k, r, s] = value
                 out_cov[k, s, r] = value
     return out_mass, out_mean, out_cov

@@ -65,13 +65,25 @@ def _axis(lower: F8, upper: F8, axis: int, size: float) -> tuple[float, float, f
     total = 0.0
     for j in range(n):
         # Conditionals and not min and max: they compile faster.
-        low = lower[axis, j] if lower[axis, j] < low else low
-        high = upper[axis, j] if upper[axis, j] > high else high
+        if lower[axis, j] < low:
+            low = lower[axis, j]
+        else:
+            low = low
+        if upper[axis, j] > high:
+            high = upper[axis, j]
+        else:
+            high = high
         total += upper[axis, j] - lower[axis, j]
     if n == 0:
         return 0.0, 0.0, 1.0
-    size = total / n if total / n > size else size
-    size = size if size > (high - low) * 1e-3 else (high - low) * 1e-3
+    if total / n > size:
+        size = total / n
+    else:
+        size = size
+    if size > (high - low) * 1e-3:
+        size = size
+    else:
+        size = (high - low) * 1e-3
     return low, high - low, size if size > 1e-9 else 1e-9
 
 
@@ -147,8 +159,14 @@ def overlapping(left: float, top: float, right: float, bottom: float, grid: Grid
             for k in range(grid.start[cell], grid.start[cell + 1]):
                 j = grid.item[k]
                 # A rectangle in several cells counts in the first that it shares with the box.
-                first_x = corner[0, j] if corner[0, j] > x0 else x0
-                first_y = corner[1, j] if corner[1, j] > y0 else y0
+                if corner[0, j] > x0:
+                    first_x = corner[0, j]
+                else:
+                    first_x = x0
+                if corner[1, j] > y0:
+                    first_y = corner[1, j]
+                else:
+                    first_y = y0
                 if column != first_x or row != first_y:
                     continue
                 if (

@@ -100,7 +100,10 @@ def _least_excess(at: F8, per: F8, a: int, b: int, box: F8, block: int) -> float
         at_left = pb * (left - cb) * (left - cb) - pa * (left - ca) * (left - ca)
         at_right = pb * (right - cb) * (right - cb) - pa * (right - ca) * (right - ca)
         at_vertex = pb * (vertex - cb) * (vertex - cb) - pa * (vertex - ca) * (vertex - ca)
-        least = at_right if at_right < at_left else at_left
+        if at_right < at_left:
+            least = at_right
+        else:
+            least = at_left
         total += at_vertex if at_vertex < least else least
     return total
 
@@ -410,7 +413,10 @@ def _farthest(
             b,
         )
         for i in range(start[b + 1] - start[b]):
-            j = among[1, which[i]] if which[i] >= 0 else -1
+            if which[i] >= 0:
+                j = among[1, which[i]]
+            else:
+                j = -1
             if j >= 0 and heavy[j] and row[least, i] > apart[j]:
                 apart[j] = row[least, i]
                 far[j] = start[b] + i

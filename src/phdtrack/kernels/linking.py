@@ -186,10 +186,16 @@ def _add_edges(
         price[c] = terms.gap_cost * (since[c] - dt)
         predicted[c] = _log_det(covariance, c, fresh.covariance, -1, fresh.observed, block, root)
         limit = 2.0 * (best - price[c]) - (least if least > predicted[c] else predicted[c])
-        limit = farthest if farthest < limit else limit
+        if farthest < limit:
+            limit = farthest
+        else:
+            limit = limit
         for a in range(2):
             o = fresh.observed[a]
-            reach = np.sqrt(limit * (covariance[c, o, o] + widest[a])) if limit > 0.0 else 0.0
+            if limit > 0.0:
+                reach = np.sqrt(limit * (covariance[c, o, o] + widest[a]))
+            else:
+                reach = 0.0
             lower[a, c] = mean[c, o] - reach
             upper[a, c] = mean[c, o] + reach
     grid = make_grid(lower, upper, 0.0, 0.0)
@@ -207,7 +213,10 @@ def _add_edges(
             limit = 2.0 * (loose[i] - price[c]) - (
                 own[i] if own[i] > predicted[c] else predicted[c]
             )
-            limit = farthest if farthest < limit else limit
+            if farthest < limit:
+                limit = farthest
+            else:
+                limit = limit
             near = True
             for a in range(r):
                 o = fresh.observed[a]

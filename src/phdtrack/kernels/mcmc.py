@@ -189,7 +189,10 @@ def _choose(
     reached = 0.0
     low, high = (can.first[b], can.first[b + 1]) if b >= 0 else (0, 1)
     for again in range(2):
-        aim = rng.random() * reached if again else np.inf
+        if again:
+            aim = rng.random() * reached
+        else:
+            aim = np.inf
         for o in range(begin, end):
             for p in range(low, high):
                 weight = _free(o, a, b if b >= 0 else a, can, now)
@@ -212,7 +215,9 @@ def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
     """Overlaps of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: none) with all other targets
     and each other.
     """
-    total = overlap_of(can.box, i, can.box, k) if i >= 0 and k >= 0 else 0.0
+    total = 0.0
+    if i >= 0 and k >= 0:
+        total = overlap_of(can.box, i, can.box, k)
     p = can.near_start[a]
     q = 0 * a
     ends = (can.near_start[a + 1], 0 * a)
@@ -221,11 +226,10 @@ def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
         ends = (ends[0], can.near_start[b + 1])
     while p < ends[0] or q < ends[1]:
         # The next candidate that is near one of the two.
-        c = (
-            can.near[p]
-            if q == ends[1] or (p < ends[0] and can.near[p] <= can.near[q])
-            else can.near[q]
-        )
+        if q == ends[1] or (p < ends[0] and can.near[p] <= can.near[q]):
+            c = can.near[p]
+        else:
+            c = can.near[q]
         there = now.state[c] >= 0 and c != a and c != b
         if p < ends[0] and can.near[p] == c:
             total += overlap_of(can.box, i, can.box, now.state[c]) if there and i >= 0 else 0.0
@@ -254,11 +258,17 @@ def _redraw(
     others.
     """
     o, p = _choose(a, b, can.first[a], can, now, rng)
-    i = -1 if o == can.first[a] else _state(o, can, rng)
+    if o == can.first[a]:
+        i = -1
+    else:
+        i = _state(o, can, rng)
     k = -1
     was = -1
     if b >= 0:
-        k = -1 if p == can.first[b] else _state(p, can, rng)
+        if p == can.first[b]:
+            k = -1
+        else:
+            k = _state(p, can, rng)
         was = now.state[b]
     elif i < 0 and now.state[a] < 0:
         return

@@ -422,8 +422,14 @@ def _place(boxes: F8, t: int, axis: int, owner: I8, xyxy: F8, k: int) -> None:
     if owner[axis] == t:
         start = low
     if owner[axis + 2] == t:
-        start = (low + high - size) / 2 if owner[axis] == t else high - size
-    start = min(max(start, low), max(low, high - size)) if room > 0.0 else low + room / 2
+        if owner[axis] == t:
+            start = (low + high - size) / 2
+        else:
+            start = high - size
+    if room > 0.0:
+        start = min(max(start, low), max(low, high - size))
+    else:
+        start = low + room / 2
     xyxy[k, axis] = start
     xyxy[k, axis + 2] = start + size
 
@@ -454,7 +460,10 @@ def continued(
     seen = np.zeros(n, np.bool_)
     left = np.empty(n, np.bool_)
     for i in range(len(of)):
-        t = target[detection[i]] if detection[i] >= 0 else -1
+        if detection[i] >= 0:
+            t = target[detection[i]]
+        else:
+            t = -1
         if t >= 0 and not shown[t]:
             of[i] = t
             shown[t] = True

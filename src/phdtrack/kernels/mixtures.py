@@ -59,7 +59,10 @@ def whitened(mixture: Gaussians) -> Whitened:
     root = np.zeros((d, d))
     for j in range(count):
         log_det = factor(mixture.covariance[j], root)
-        log_weight = math.log(mixture.weight[j]) if mixture.weight[j] > 0.0 else -math.inf
+        if mixture.weight[j] > 0.0:
+            log_weight = math.log(mixture.weight[j])
+        else:
+            log_weight = -math.inf
         log_peak[j] = log_weight - 0.5 * (log_det + d * LOG_2PI)
         for r in range(d):
             inverse[j, r, r] = 1.0 / root[r, r]
@@ -308,7 +311,10 @@ def em_step(
     mass = np.zeros(count)
     first = np.zeros((count, d))
     second = np.zeros((count, d, d))
-    widest = np.max(np.diff(first_of)) if first_of.size > 1 else 0
+    if first_of.size > 1:
+        widest = np.max(np.diff(first_of))
+    else:
+        widest = 0
     step = np.empty((d, CHUNK), x.dtype)
     table = np.empty((widest, CHUNK), x.dtype)
     part = np.empty(CHUNK, x.dtype)

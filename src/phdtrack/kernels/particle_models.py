@@ -258,11 +258,10 @@ def position_numbers(z: F8, covariance: F8) -> tuple[PlanePoint, F8]:
     inverse = np.linalg.inv(covariance)
     factor = np.sqrt(np.linalg.det(inverse)) / (2 * math.pi)
     # Ten deviations hold the particles of one target, and few more.
-    reach = (
-        10 * math.sqrt(float(np.trace(covariance, axis1=1, axis2=2).mean()) / 2)
-        if z.shape[1]
-        else 1.0
-    )
+    if z.shape[1]:
+        reach = 10 * math.sqrt(float(np.trace(covariance, axis1=1, axis2=2).mean()) / 2)
+    else:
+        reach = 1.0
     return PlanePoint(reach), np.stack(
         [z[0], z[1], inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], factor]
     )
@@ -285,7 +284,9 @@ def _survives_box(model: Number, s: Real, i: int) -> Number:
     w = HALF * s[W + i]
     h = HALF * s[H + i]
     inside = (x > -w) & (x < model.width + w) & (y > -h) & (y < model.height + h)
-    return model.survival if inside | (model.width <= ZERO) else ZERO
+    if inside | (model.width <= ZERO):
+        return model.survival
+    return ZERO
 
 
 @implements(move, BoxWalk)

@@ -138,7 +138,10 @@ def load_row(s: Real, row: int, n: int, values: Real, at: int) -> None:
         for i in range(U(min(whole(n), values.size - at))):
             s[to + i] = values[begin + i]
     else:
-        value = values[0] if values.size == 1 else s.dtype.type(1)
+        if values.size == 1:
+            value = values[0]
+        else:
+            value = s.dtype.type(1)
         for i in range(U(whole(n))):
             s[to + i] = value
     for i in range(U(n), U(whole(n))):
@@ -311,7 +314,10 @@ def evaluate(
     zero = total = near = s.dtype.type(0)
     for i in range(n):
         d2, factor = distance(sensor, z, s, i)
-        value = exp_of(half * d2) if d2 <= far else zero
+        if d2 <= far:
+            value = exp_of(half * d2)
+        else:
+            value = zero
         total += factor * value * s[SEEN + i]
         near += s[WEIGHT + i] if d2 <= limit else zero
     return total, near
@@ -326,7 +332,10 @@ def add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Numbe
     zero = s.dtype.type(0)
     for i in range(n):
         d2, factor = distance(sensor, z, s, i)
-        value = exp_of(half * d2) if d2 <= far else zero
+        if d2 <= far:
+            value = exp_of(half * d2)
+        else:
+            value = zero
         s[SUM + i] += by * factor * value * s[SEEN + i]
 
 

@@ -347,8 +347,14 @@ def _weigh(
         begun = count
         for c in range(target.begin, target.end):
             detected += hypotheses[c].weight * p_detect[c]
-        miss = 1.0 - target.r * detected if 1.0 - target.r * detected > NEVER else NEVER
-        unseen = target.r * (1.0 - detected) / miss if detected < 1.0 else 0.0
+        if 1.0 - target.r * detected > NEVER:
+            miss = 1.0 - target.r * detected
+        else:
+            miss = NEVER
+        if detected < 1.0:
+            unseen = target.r * (1.0 - detected) / miss
+        else:
+            unseen = 0.0
         missed[t] = unseen if unseen < 1.0 else 1.0
         while q < pairs.size and pairs[q].gaussian < target.end:
             pair = pairs[q]
@@ -407,7 +413,10 @@ def _choose(
         while q < pairs.size and pairs[q].gaussian < target.end:
             total = total + pairs[q].weight
             q = q + 1
-        unseen = exists[t] / unseen if unseen > 0.0 else 0.0
+        if unseen > 0.0:
+            unseen = exists[t] / unseen
+        else:
+            unseen = 0.0
         exists[t] = total if total < 1.0 else 1.0
         kept[t] = 0
         # A target whose probability has just risen may have begun, however rare births are.
@@ -476,7 +485,7 @@ def after_score(genuine: float, scores: Scores, j: int) -> float:
     if genuine >= scores.prior + PROVED and said < 0.0:
         return genuine
     after = genuine + said
-    return LIMIT if after > LIMIT else (-LIMIT if after < -LIMIT else after)
+    return LIMIT if after > LIMIT else -LIMIT if after < -LIMIT else after
 
 
 @njit(**INNER)
@@ -546,8 +555,14 @@ def _write_kept(
             if h.detection < 0:
                 copy_gaussian(old_mean, old_cov, c, mean, cov, k)
                 if not h.static:
-                    seen = 1.0 - p_detect[c] if 1.0 - p_detect[c] > TINY else TINY
-                    h.occluded = old[c].occluded / seen if old[c].occluded < seen else 1.0
+                    if 1.0 - p_detect[c] > TINY:
+                        seen = 1.0 - p_detect[c]
+                    else:
+                        seen = TINY
+                    if old[c].occluded < seen:
+                        h.occluded = old[c].occluded / seen
+                    else:
+                        h.occluded = 1.0
             elif k < i:
                 copy_gaussian(mean, cov, i, mean, cov, k)
             if h.detection >= 0 and h.freedom > 0.0:
@@ -604,7 +619,10 @@ def write_target(
     target.end = end
     target.best = best
     target.presence = r * total
-    target.max_presence = r * total if r * total > max_presence else max_presence
+    if r * total > max_presence:
+        target.max_presence = r * total
+    else:
+        target.max_presence = max_presence
     return r * total
 
 
@@ -634,7 +652,10 @@ def _write_new(
             for motion in range(s.motions + (prior > 0.0)):
                 h = hypotheses[k]
                 static = motion == s.motions
-                h.weight = prior if static else (1.0 - prior) / s.motions
+                if static:
+                    h.weight = prior
+                else:
+                    h.weight = (1.0 - prior) / s.motions
                 h.static = static
                 h.occluded = 0.0
                 h.motion = 0 if static else motion

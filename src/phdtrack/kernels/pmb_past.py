@@ -31,7 +31,10 @@ def followed_back(
         out[t].place = -1
         out[t].presence = targets[t].presence
     for i in range(trace.size):
-        p = after[trace[i].place].parent if trace[i].place >= 0 else -1
+        if trace[i].place >= 0:
+            p = after[trace[i].place].parent
+        else:
+            p = -1
         if p >= 0:
             found = out[hypotheses[p].target]
             found.place = p

@@ -119,7 +119,10 @@ def comb(mass: F8, extents: Real, count: int, offset: float) -> tuple[Comb, I8]:
         begin = reached * per
         reached += size
         upto = int(np.ceil(reached * per - offset))
-        upto = count if reached >= total else max(min(upto, count), done)
+        if reached >= total:
+            upto = count
+        else:
+            upto = max(min(upto, count), done)
         teeth[b] = upto - done
         first[b] = done
         phase[b] = done + offset - begin

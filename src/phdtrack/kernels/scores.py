@@ -44,13 +44,12 @@ def scaled(
             low = s
         if s > high:
             high = s
-    kind = (
-        PROBABILITY
-        if low >= 0.0 and high <= 1.0
-        else LOGIT
-        if low < 0.0 and high <= logits[0]
-        else RANK
-    )
+    if low >= 0.0 and high <= 1.0:
+        kind = PROBABILITY
+    elif low < 0.0 and high <= logits[0]:
+        kind = LOGIT
+    else:
+        kind = RANK
     x = np.full(score.size, np.nan)
     if low < high and kind != RANK:
         for j in range(score.size):

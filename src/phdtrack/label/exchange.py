@@ -156,13 +156,12 @@ class Exchange:
         made = list[Label]()
         free = max([DRAWN, *(one.box + 1 for one in known)])
         for i, box in enumerate(boxes):
-            mark = (
-                box.get("mark")
-                if box.get("mark") in MARKS
-                else "false"
-                if box["label"] == _FALSE
-                else "true"
-            )
+            if box.get("mark") in MARKS:
+                mark = box.get("mark")
+            elif box["label"] == _FALSE:
+                mark = "false"
+            else:
+                mark = "true"
             number = partner.get(i, free)
             own = _whole(box.get("box"))
             if (
@@ -180,7 +179,10 @@ class Exchange:
             if mark == "none" and moved and (number >= DRAWN or digest is None):
                 mark = "true"
             place = cast(tuple[float, float, float, float], tuple(corners[i].tolist()))
-            kept = place if mark == "true" or (mark == "birth" and moved) else None
+            if mark == "true" or (mark == "birth" and moved):
+                kept = place
+            else:
+                kept = None
             made.append(
                 Label(frame, number, cast(Mark, mark), kept, str(box.get("labeller") or "")[:100])
             )
@@ -195,9 +197,10 @@ class Exchange:
             for k in range(len(self.table.at(number)) if done else 0):
                 labels.setdefault((number, k), Label(number, k, "none"))
         for _, one in sorted(labels.items()):
-            place = (
-                self.table.at(one.frame).xyxy[one.box].tolist() if one.place is None else one.place
-            )
+            if one.place is None:
+                place = self.table.at(one.frame).xyxy[one.box].tolist()
+            else:
+                place = one.place
             yield one, [round(value, 2) for value in place]
 
     def _pictures(self) -> dict[int, dict[str, Any]]:
@@ -252,7 +255,10 @@ class Exchange:
             corners = " ".join(
                 f'{name}="{value:.12g}"' for name, value in zip(_CORNERS, at, strict=True)
             )
-            label = _FALSE if one.mark == "false" else _OBJECT
+            if one.mark == "false":
+                label = _FALSE
+            else:
+                label = _OBJECT
             more = _attributes({"mark": one.mark, "labeller": one.who, "box": one.box})
             boxes.setdefault(one.frame, []).append(
                 f'<box label="{label}" occluded="0" {corners} z_order="0">{more}</box>'
@@ -265,7 +271,10 @@ class Exchange:
         lines.append(f"<meta><phdtrack detections={quoteattr(self.store.digest)}/></meta>")
         for number, picture in self._pictures().items():
             size = f'width="{self.info.width}" height="{self.info.height}"'
-            tag = f'<tag label="frame">{_attributes(picture)}</tag>' if picture else ""
+            if picture:
+                tag = f'<tag label="frame">{_attributes(picture)}</tag>'
+            else:
+                tag = ""
             lines += [
                 f'<image id="{number - 1}" name="{number:06d}.jpg" {size}>{tag}',
                 *boxes.get(number, []),
@@ -277,7 +286,9 @@ class Exchange:
 def _whole(value: object) -> int | None:
     """A whole number from 0, also in quotes; None for anything else."""
     text = str(value)
-    return int(text) if text.isdecimal() and len(text) <= 10 else None
+    if text.isdecimal() and len(text) <= 10:
+        return int(text)
+    return None
 
 
 def _attributes(values: dict[str, Any]) -> str:

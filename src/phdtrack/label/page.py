@@ -97,7 +97,9 @@ class Session:
 
     def learn(self, progress: Progress) -> str:
         """The command that learns from the marks: births, too, where enough of them were marked."""
-        return f"{self.command} --births hand" if progress.births >= MIN_BIRTHS else self.command
+        if progress.births >= MIN_BIRTHS:
+            return f"{self.command} --births hand"
+        return self.command
 
     def overview(self) -> dict[str, object]:
         """Size, name, the file of labels (its name, and where it is ``kept``), how far each frame
@@ -150,7 +152,9 @@ class Session:
         """The picture of a frame."""
         self._boxes(number)
         grey = np.full((self.info.height, self.info.width, 3), _GREY, np.uint8)
-        return self.stills[number] if number in self.stills else _encoded(grey)
+        if number in self.stills:
+            return self.stills[number]
+        return _encoded(grey)
 
     def crop(self, number: int, box: int) -> bytes:
         """The picture of one detection, outlined, with what is around it, of at most 96 × 96
@@ -323,5 +327,8 @@ def label_app(session: Session) -> Starlette:
 
 
 def _encoded(image: Image, suffix: str = ".jpg") -> bytes:
-    quality = [cv2.IMWRITE_JPEG_QUALITY, 90] if suffix == ".jpg" else []
+    if suffix == ".jpg":
+        quality = [cv2.IMWRITE_JPEG_QUALITY, 90]
+    else:
+        quality = []
     return cv2.imencode(suffix, image, quality)[1].tobytes()

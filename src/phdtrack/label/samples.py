@@ -158,7 +158,9 @@ class Marks:
 
     @property
     def _frames(self) -> range:
-        return range(1, self.info.frames + 1) if self.stretch is None else self.stretch
+        if self.stretch is None:
+            return range(1, self.info.frames + 1)
+        return self.stretch
 
     @property
     def _false(self) -> list[Label]:
@@ -185,7 +187,9 @@ def _velocity(table: DetectionTable, birth: Label, fps: float) -> F8:
             frames.append(number)
             boxes.append(to_cxcywh(table.at(number).xyxy)[:, own])
             slope = np.polyfit(frames, np.array(boxes)[:, :2], 1)[0]
-    return slope if len(frames) > _MIN_LINKS else np.full(2, math.nan)
+    if len(frames) > _MIN_LINKS:
+        return slope
+    return np.full(2, math.nan)
 
 
 def _next(table: DetectionTable, number: int, expected: F8, own: int, gate: float) -> int:
@@ -200,12 +204,13 @@ def _next(table: DetectionTable, number: int, expected: F8, own: int, gate: floa
     if not np.isfinite(distance).any():
         return -1
     nearest = int(np.argmin(distance))
-    rivals = np.delete(before, own, axis=1) if own >= 0 else before
-    return (
-        -1
-        if np.add(*_apart(found[:, nearest], rivals)).min(initial=math.inf) < distance[nearest]
-        else nearest
-    )
+    if own >= 0:
+        rivals = np.delete(before, own, axis=1)
+    else:
+        rivals = before
+    if np.add(*_apart(found[:, nearest], rivals)).min(initial=math.inf) < distance[nearest]:
+        return -1
+    return nearest
 
 
 def _apart(box: F8, others: F8) -> tuple[F8, F8]:

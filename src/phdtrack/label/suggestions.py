@@ -220,7 +220,10 @@ def _places(evidence: Evidence, still: Bool, asked: Bool) -> tuple[I8, F8]:
             # The number of the place that the box overlaps with, or a new one.
             overlap = iou(box[None], seeds)[0]
             known = overlap.max(initial=0.0) >= _SAME
-            number = numbers[np.argmax(overlap)] if known else numbers.max(initial=-1) + 1
+            if known:
+                number = numbers[np.argmax(overlap)]
+            else:
+                number = numbers.max(initial=-1) + 1
             seeds = np.vstack([seeds, box])
             numbers = np.append(numbers, number)
             alike = candidates[_alike(box, xyxy[candidates])]

@@ -258,11 +258,10 @@ class SceneTraining:
         model = self.stages.model
         stages = self.stages
         if alarms is not None:
-            own = (
-                model.clutter.clutter_per_detection
-                if isinstance(model.clutter, BoxClutter)
-                else 0.0
-            )
+            if isinstance(model.clutter, BoxClutter):
+                own = model.clutter.clutter_per_detection
+            else:
+                own = 0.0
             birth, clutter = in_one_volume(
                 model.birth, SceneClutter(alarms.rate, alarms.density, own)
             )

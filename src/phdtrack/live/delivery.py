@@ -139,7 +139,10 @@ def _public(text: str) -> bool:
     """Whether an address is on the internet; of IPv6 that stands for IPv4 what it stands for."""
     address = ipaddress.ip_address(text)
     if isinstance(address, ipaddress.IPv6Address):
-        inner = ipaddress.IPv4Address(int(address) & 0xFFFFFFFF) if address in _NAT64 else None
+        if address in _NAT64:
+            inner = ipaddress.IPv4Address(int(address) & 0xFFFFFFFF)
+        else:
+            inner = None
         inner = inner or address.ipv4_mapped or address.sixtofour
         if inner is None and address not in _UNICAST:
             return False

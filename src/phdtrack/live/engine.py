@@ -149,11 +149,9 @@ class Camera:
         self._groups: OnlineGroups | None = None
         self.log = EventLog(settings.folder)
         self._rows = RowsLog(settings.folder / "tracks", settings.quota, parquet=settings.parquet)
-        self._video = (
-            VideoLog(settings.folder / "video", settings.video, settings.quota)
-            if settings.video
-            else None
-        )
+        self._video: VideoLog | None = None
+        if settings.video:
+            self._video = VideoLog(settings.folder / "video", settings.video, settings.quota)
         self.watched: tuple[Watch, WatchState] = (settings.watch, settings.watch.start())
         """The settings of what is watched, and its state: who is there, and the counts."""
         # What went wrong, by what it concerns; when each file was changed that was read.
@@ -279,16 +277,18 @@ class Camera:
     @property
     def left_out(self) -> LeftOut:
         """How many boxes were left out, and why."""
-        return LeftOut() if self._tracker is None else self._tracker.left_out
+        if self._tracker is None:
+            return LeftOut()
+        return self._tracker.left_out
 
     def latency(self) -> tuple[float, float]:
         """Median and 99 % of the seconds from a picture's arrival to its events on disk; NaN where
         there was none.
         """
         held = list(self._latency)
-        return (
-            (float(np.median(held)), float(np.quantile(held, 0.99))) if held else (np.nan, np.nan)
-        )
+        if held:
+            return (float(np.median(held)), float(np.quantile(held, 0.99)))
+        return (np.nan, np.nan)
 
     def picture(self, after: int = 0, patience: float = 0.0) -> tuple[int, Image | None]:
         """The newest drawn picture and the number of its frame; one behind ``after`` where it comes
@@ -382,9 +382,10 @@ class Camera:
         names = self.watched[0].names
         tracker.warm_up()
         first = self.log.highest("group") + 1
-        self._groups = (
-            None if made.groups is None else OnlineGroups(made.groups, made.kinds.usual, first)
-        )
+        if made.groups is None:
+            self._groups = None
+        else:
+            self._groups = OnlineGroups(made.groups, made.kinds.usual, first)
         self._annotate = Annotator(made.info, names=names or None, blur=self.settings.blur)
         self.maps = Maps.of(width, height)
         return made, tracker
@@ -410,11 +411,10 @@ class Camera:
         rows = self._tracker.update(found, frame.number, frame.time)
         step = self._tracker.step
         assert step is not None
-        mixture = (
-            None
-            if self._groups is None
-            else self._groups.mixture(self._tracker.state.intensity, step)
-        )
+        if self._groups is None:
+            mixture = None
+        else:
+            mixture = self._groups.mixture(self._tracker.state.intensity, step)
         self._held.append(_Held(frame, step, mixture))
         self.frames = self.frames + 1
         self._last = (frame.number, frame.time, frame.wall)
@@ -497,11 +497,10 @@ class Camera:
             # the last row.
             number, content = self.log.watched() or (0, b"")
             later = number >= (seen.held[0].number if seen.held else seen.number + 1)
-            known = (
-                SavedWatch.read(content, self.settings.folder)
-                if later
-                else SavedWatch(seen.places, seen.watch)
-            )
+            if later:
+                known = SavedWatch.read(content, self.settings.folder)
+            else:
+                known = SavedWatch(seen.places, seen.watch)
             last = max(number, self._rows.last_frame())
             # A run that was killed before its first checkpoint may have come after one that ended
             # in order.
@@ -563,11 +562,10 @@ class Camera:
         self._rows.write(rows, frame.wall)
         self._latency.append(max(0.0, time.time() - frame.wall))
         probability = step.info.clutter_probability
-        known = (
-            probability
-            if len(probability) == len(step.detections)
-            else np.zeros(len(step.detections))
-        )
+        if len(probability) == len(step.detections):
+            known = probability
+        else:
+            known = np.zeros(len(step.detections))
         assert self.maps is not None
         self.maps.add(frame.time, feet(confirmed.xyxy), step.detections.xyxy, known)
         self.tracks = len(confirmed)
@@ -606,11 +604,10 @@ class Camera:
         # Not with each picture: another process that holds the table keeps this one waiting.
         self._patient = time.monotonic() + _AGAIN
         try:
-            saved = (
-                (self._finished, SavedWatch(watch.places, state).content())
-                if self.settings.checkpoint
-                else None
-            )
+            if self.settings.checkpoint:
+                saved = (self._finished, SavedWatch(watch.places, state).content())
+            else:
+                saved = None
             fresh = self.log.write(self._unwritten, saved)
         except Exception as error:
             self._problems["events"] = (
@@ -618,7 +615,10 @@ class Camera:
             )
             return
         self._problems.pop("events", None)
-        self._patient = self._patient if self.log.problem else 0.0
+        if self.log.problem:
+            self._patient = self._patient
+        else:
+            self._patient = 0.0
         for event in fresh:
             self.counted[str(event["kind"])] += 1
             self.recent.append(event)

@@ -150,7 +150,9 @@ class Visitor:
 
     def anchor(self, place: Place) -> Point:
         """The part that counts for a place."""
-        return self.feet if place.anchor == "feet" else self.centre
+        if place.anchor == "feet":
+            return self.feet
+        return self.centre
 
 
 @dataclass(frozen=True, slots=True)
@@ -405,7 +407,10 @@ def tallies(watch: Watch, events: Sequence[Event], begin: float, end: float) -> 
     found = list[Tally]()
     for place in watch.places:
         mine = [event for event in events if event.place == place.name]
-        labels = sorted({event.class_id for event in mine}) if watch.names else []
+        if watch.names:
+            labels = sorted({event.class_id for event in mine})
+        else:
+            labels = []
         groups = {"all": mine} | {
             watch.names.get(k, str(k)): [e for e in mine if e.class_id == k] for k in labels
         }
@@ -429,14 +434,19 @@ def _tally(place: Place, label: str, events: Sequence[Event], begin: float, end:
         elif event.kind == "exit":
             stays.append(event.time - since.pop(event.identity, event.time))
     stays += [end - start for start in since.values()]
-    mean = sum(stays) / (end - begin) if end > begin else math.nan
+    if end > begin:
+        mean = sum(stays) / (end - begin)
+    else:
+        mean = math.nan
     average, longest = (sum(stays) / len(stays), max(stays)) if stays else (math.nan, math.nan)
     return Tally(place.name, label, entered, left, entered - left, most, mean, average, longest)
 
 
 def _rounded(value: float) -> float | None:
     """Two decimals; None for NaN."""
-    return None if math.isnan(value) else round(value, 2)
+    if math.isnan(value):
+        return None
+    return round(value, 2)
 
 
 class Minute(NamedTuple):

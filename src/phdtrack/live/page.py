@@ -125,9 +125,15 @@ class Page:
             )
             ground = np.repeat(grey[..., None] // 2, 3, axis=2)
         if one.maps is not None:
-            grid = one.maps.people if what == "people" else one.maps.clutter
+            if what == "people":
+                grid = one.maps.people
+            else:
+                grid = one.maps.clutter
             # By the square root a place a quarter as busy as the busiest is still plain to see.
-            share = np.sqrt(grid / grid.max()) if grid.max() > 0 else grid
+            if grid.max() > 0:
+                share = np.sqrt(grid / grid.max())
+            else:
+                share = grid
             share = np.clip(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR), 0, 1)[
                 ..., None
             ]
@@ -202,7 +208,10 @@ class Page:
                 found["place_left_total"].append((camera | {"place": place.name}, counts.left))
         lines = list[str]()
         for name, rows in found.items():
-            kind = "counter" if name.endswith("_total") else "gauge"
+            if name.endswith("_total"):
+                kind = "counter"
+            else:
+                kind = "gauge"
             lines += [f"# HELP phdtrack_{name} {METRICS[name]}", f"# TYPE phdtrack_{name} {kind}"]
             for labels, value in rows:
                 inside = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
@@ -218,14 +227,15 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
 
     async def picture(request: Request) -> Response:
         after = request.query_params.get("after", "0")
-        wanted = int(after) if after.isascii() and after.isdecimal() and len(after) < 16 else 0
+        if after.isascii() and after.isdecimal() and len(after) < 16:
+            wanted = int(after)
+        else:
+            wanted = 0
         number, data = await run_in_threadpool(page.picture, request.path_params["name"], wanted)
         headers = {"X-Frame": str(number)}
-        return (
-            Response(data, 200, headers, "image/jpeg")
-            if data
-            else Response(status_code=204, headers=headers)
-        )
+        if data:
+            return Response(data, 200, headers, "image/jpeg")
+        return Response(status_code=204, headers=headers)
 
     async def index(request: Request) -> Response:
         return HTMLResponse((STATIC / "live.html").read_bytes())
@@ -271,7 +281,9 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
 
 def _state(one: Camera) -> str:
     """The source's state, or that its thread has ended."""
-    return one.source.status().state if one.alive else "ended"
+    if one.alive:
+        return one.source.status().state
+    return "ended"
 
 
 def _escaped(text: str) -> str:

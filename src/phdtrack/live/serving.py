@@ -133,7 +133,10 @@ class Guard:
                     and message["status"] < 400
                     and request.query_params.get("token") == self._token
                 ):
-                    secure = "; Secure" if self._scheme == "https" else ""
+                    if self._scheme == "https":
+                        secure = "; Secure"
+                    else:
+                        secure = ""
                     headers.append(
                         "Set-Cookie",
                         f"{self._cookie}={self._token}; HttpOnly; Path=/; SameSite=strict{secure}",
@@ -229,11 +232,9 @@ def _refused(status: int, why: str) -> Response:
 
 def _network(address: str) -> str:
     """What counts as one address: of IPv6 the network, in which a machine may take any."""
-    return (
-        str(ipaddress.ip_network((address.partition("%")[0], 64), strict=False))
-        if ":" in address
-        else address
-    )
+    if ":" in address:
+        return str(ipaddress.ip_network((address.partition("%")[0], 64), strict=False))
+    return address
 
 
 def static(folder: Path) -> list[Route]:
@@ -274,15 +275,16 @@ def endpoint(
             name: request.query_params.get(name, "") for name in query
         }
         try:
-            sent = {"sent": await request.body()} if request.method == "POST" else {}
+            if request.method == "POST":
+                sent = {"sent": await request.body()}
+            else:
+                sent = {}
             result = await run_in_threadpool(work, **given, **sent)
         except InputError as error:
             return JSONResponse({"error": str(error)}, 400)
-        return (
-            JSONResponse(json_value(result))
-            if media == JSON
-            else Response(result, 200, headers, media)
-        )
+        if media == JSON:
+            return JSONResponse(json_value(result))
+        return Response(result, 200, headers, media)
 
     return answer
 
@@ -340,24 +342,35 @@ def listen(
         ) from None
     taken = listening.getsockname()[1]
     shown = f"[{host}]" if ":" in host else host
-    names = (
-        {"127.0.0.1", "localhost", "[::1]"}
-        if loopback
-        else {shown, socket.gethostname(), socket.getfqdn()}
-    )
+    if loopback:
+        names = {"127.0.0.1", "localhost", "[::1]"}
+    else:
+        names = {shown, socket.gethostname(), socket.getfqdn()}
     if allow or shown in ("0.0.0.0", "[::]"):
-        shown = allow[0] if allow else socket.gethostname()
+        if allow:
+            shown = allow[0]
+        else:
+            shown = socket.gethostname()
     # What is forwarded from the usual port comes without a number.
     hosts = {*allow, *(f"{name}:{taken}" for name in (*names, *allow))}
-    token = "" if loopback and not allow else secrets.token_urlsafe(16)
-    place = shown if ":" in shown.rpartition("]")[2] else f"{shown}:{taken}"
+    if loopback and not allow:
+        token = ""
+    else:
+        token = secrets.token_urlsafe(16)
+    if ":" in shown.rpartition("]")[2]:
+        place = shown
+    else:
+        place = f"{shown}:{taken}"
     url = f"{'https' if tls else 'http'}://{place}/" + (f"?token={token}" if token else "")
     return Address(listening, url, token, frozenset(one.lower() for one in hosts), tls)
 
 
 def _bound(host: str, ports: Sequence[int]) -> socket.socket:
     """A socket on the first of the ports that is free. Raises `OSError` where none is."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    if ":" in host:
+        family = socket.AF_INET6
+    else:
+        family = socket.AF_INET
     for port in ports[:-1]:
         with contextlib.suppress(OSError):
             return socket.create_server((host, port), family=family)
@@ -439,11 +452,14 @@ class _Loop(asyncio.SelectorEventLoop):
 
     def __init__(self, tls: ssl.SSLContext | None) -> None:
         super().__init__()
-        self._more = (
-            {"ssl": tls, "ssl_handshake_timeout": HEADER, "ssl_shutdown_timeout": HEADER}
-            if tls
-            else {}
-        )
+        if tls:
+            self._more = {
+                "ssl": tls,
+                "ssl_handshake_timeout": HEADER,
+                "ssl_shutdown_timeout": HEADER,
+            }
+        else:
+            self._more = {}
 
     async def create_server(self, *given: Any, **named: Any) -> Any:
         """As asyncio's."""

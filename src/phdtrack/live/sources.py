@@ -146,11 +146,10 @@ class LiveSource:
         if isinstance(picture, np.ndarray):
             import cv2
 
-            image = (
-                picture
-                if picture.shape[1::-1] == (width, height)
-                else cv2.resize(picture, (width, height))
-            )
+            if picture.shape[1::-1] == (width, height):
+                image = picture
+            else:
+                image = cv2.resize(picture, (width, height))
         else:
             image = bgr(picture, width, height)
         return LiveFrame(number, at - self._start, wall, np.ascontiguousarray(image))
@@ -160,13 +159,15 @@ class LiveSource:
         with self._change:
             now = time.monotonic()
             times = self._times
-            fps = (
-                (len(times) - 1) / (times[-1] - times[0])
-                if len(times) > 1 and times[-1] > times[0]
-                else 0.0
-            )
+            if len(times) > 1 and times[-1] > times[0]:
+                fps = (len(times) - 1) / (times[-1] - times[0])
+            else:
+                fps = 0.0
             state = self._status.state
-            quiet = now - times[-1] if times else now - self._since
+            if times:
+                quiet = now - times[-1]
+            else:
+                quiet = now - self._since
             if state == "live" and quiet > max(1.0, 3 / fps if fps else 0.0):
                 return replace(self._status, state="silent", since=quiet, fps=fps)
             return replace(self._status, since=now - self._since, fps=fps)
@@ -196,8 +197,14 @@ class LiveSource:
     def _set(self, state: State, problem: str | None = None) -> None:
         if state != self._status.state and "live" in (state, self._status.state):
             # Without pictures since the last one, however often it is tried again.
-            self._since = time.monotonic() if state == "live" else self._times[-1]
-        said = self._status.problem if problem is None else shown(problem)
+            if state == "live":
+                self._since = time.monotonic()
+            else:
+                self._since = self._times[-1]
+        if problem is None:
+            said = self._status.problem
+        else:
+            said = shown(problem)
         self._status = replace(self._status, state=state, problem=said)
 
     def _run(self, generation: int) -> None:
@@ -226,7 +233,10 @@ class LiveSource:
                 # FFmpeg's own words for a time-out are "Immediate exit requested".
                 late = isinstance(error, av.ExitError)
                 said = str(getattr(error, "strerror", None) or error) or type(error).__name__
-                problem = "no answer in time" if late else said
+                if late:
+                    problem = "no answer in time"
+                else:
+                    problem = said
             with self._change:
                 if not self._current(generation):
                     return
@@ -239,11 +249,10 @@ class LiveSource:
         """Keep a picture, of a time on the monotonic clock, in place of the one before."""
         status = self._status
         wall = time.time() - (time.monotonic() - at)
-        size = (
-            picture.shape[1::-1]
-            if isinstance(picture, np.ndarray)
-            else (picture.width, picture.height)
-        )
+        if isinstance(picture, np.ndarray):
+            size = picture.shape[1::-1]
+        else:
+            size = (picture.width, picture.height)
         width, height = (status.width, status.height) if status.width else size
         dropped = status.dropped + (self._newest is not None)
         self._status = replace(
@@ -269,7 +278,10 @@ class LiveSource:
 
         remote = "://" in self.address
         # What is read to find out the codec is kept: all until the next key frame depends on it.
-        options = {"flags": "low_delay", "fpsprobesize": "0"} if remote else {}
+        if remote:
+            options = {"flags": "low_delay", "fpsprobesize": "0"}
+        else:
+            options = {}
         if urlsplit(self.address).scheme.startswith("rtsp"):
             options["rtsp_transport"] = "tcp"
         with av.open(
@@ -367,9 +379,8 @@ def named(address: str) -> str:
     only.
     """
     parts = urlsplit(shown(address))
-    plain = (
-        urlunsplit(("", parts.netloc.rpartition("@")[2], parts.path, "", ""))
-        if parts.netloc
-        else shown(address)
-    )
+    if parts.netloc:
+        plain = urlunsplit(("", parts.netloc.rpartition("@")[2], parts.path, "", ""))
+    else:
+        plain = shown(address)
     return re.sub(r"[^A-Za-z0-9.-]+", "-", plain).strip("-.") or "camera"

@@ -90,7 +90,9 @@ class Place:
         A point on the border has distance 0.
         """
         nearest = min(_distance(point, a, b) for a, b in self.edges)
-        return nearest if not self.closed or self._holds(point) else -nearest
+        if not self.closed or self._holds(point):
+            return nearest
+        return -nearest
 
     def crossings(self, start: Point, end: Point) -> int:
         """How often the straight move crosses the line from its left to its right, less how often
@@ -222,7 +224,9 @@ def _right(a: Point, b: Point, point: Point, shift: int = 1) -> bool:
     dx = b[0] - a[0]
     dy = b[1] - a[1]
     side = dx * (point[1] - a[1]) - dy * (point[0] - a[0])
-    return side > 0 if side else shift * (-dy or dx) > 0
+    if side:
+        return side > 0
+    return shift * (-dy or dx) > 0
 
 
 def _crossing(a: Point, b: Point, start: Point, end: Point) -> int:

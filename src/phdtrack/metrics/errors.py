@@ -81,7 +81,9 @@ class Errors:
     @property
     def causes(self) -> tuple[str, ...]:
         """The names of the causes of misses that can be told apart."""
-        return CAUSES if self.detected else ("not tracked",)
+        if self.detected:
+            return CAUSES
+        return ("not tracked",)
 
     def sums(self) -> dict[str, int]:
         """The numbers of misses by cause and by place, and of false boxes, by `SUMS`."""
@@ -230,18 +232,20 @@ def _sides(
     parts = [_NO_ROWS], [_NO_ROWS]
     for k, pair in enumerate(scene.pairs):
         now = slice(edges[k], edges[k + 1])
-        seen = np.zeros((0, 4)) if detections is None else detections.at(pair.number).xyxy
+        if detections is None:
+            seen = np.zeros((0, 4))
+        else:
+            seen = detections.at(pair.number).xyxy
         mapped = np.isin(pair.truth, mapping.truth[now]), np.isin(pair.output, mapping.output[now])
         sides = (pair.truth, pair.truth_row, pair.iou), (pair.output, pair.output_row, pair.iou.T)
         for side, (who, row, overlap) in enumerate(sides):
             detected: Bool = (
                 above(overlaps(xyxy[side][row], seen), iou).max(axis=1, initial=0.0) > 0
             )
-            rival = (
-                mapped[1 - side][overlap.argmax(axis=1)]
-                if overlap.size
-                else np.zeros(len(who), np.bool_)
-            )
+            if overlap.size:
+                rival = mapped[1 - side][overlap.argmax(axis=1)]
+            else:
+                rival = np.zeros(len(who), np.bool_)
             best = overlap.max(axis=1, initial=0.0)
             parts[side].append(
                 _Rows(np.full(len(who), pair.number), who, mapped[side], detected, best, rival)

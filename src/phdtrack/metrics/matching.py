@@ -34,7 +34,9 @@ _KEEP = 1000.0
 
 def ratio(numerator: float, denominator: float) -> float:
     """The quotient; NaN where nothing was counted in the denominator."""
-    return numerator / denominator if denominator else math.nan
+    if denominator:
+        return numerator / denominator
+    return math.nan
 
 
 def above(overlap: F8, threshold: float) -> F8:

@@ -87,7 +87,10 @@ def tgospa(distance: NDArray[np.floating], there: Bool, given: Bool, gamma: floa
     rows, columns = np.nonzero(close.any(axis=0))
     near = close[:, rows, columns]
     cost = np.where(near, distance[:, rows, columns].astype(np.float64), 1.0)
-    weight = _weights(cost - 1, rows, columns, gamma / 2) if len(rows) else np.zeros_like(cost)
+    if len(rows):
+        weight = _weights(cost - 1, rows, columns, gamma / 2)
+    else:
+        weight = np.zeros_like(cost)
     localisation = float((weight * cost)[near].sum())
     mapped = float(weight[near].sum())
     missed = 0.5 * (float(there.sum()) - mapped)

@@ -160,7 +160,9 @@ class BoxSensor(Checked):
         those of the mean state.
         """
         noise = self.target_noise(np.ascontiguousarray(x))
-        return noise if len(noise) else self.measurement_noise(np.ascontiguousarray(z))
+        if len(noise):
+            return noise
+        return self.measurement_noise(np.ascontiguousarray(z))
 
     def target_noise(self, x: F8) -> F8:
         """(L, 4, 4) R where it follows the target or is constant, else (0, 4, 4)."""
@@ -292,7 +294,10 @@ class BoxMotion(Checked):
         root = math.sqrt(dt)
         width, height = self.frame_size
         drawn = math.hypot(self.acceleration, self.roughening)
-        rest = drawn * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
+        if dt > 1:
+            rest = drawn * math.sqrt((dt**3 - dt) / 12)
+        else:
+            rest = 0.0
         framed = width > 0 and height > 0
         return BoxWalk(*(
             np.float32(value)

@@ -77,7 +77,11 @@ class CameraState:
 
 def _after(step: F8, base: F8) -> F8:
     """The motion ``step`` after ``base``; `types.STILL` is none."""
-    return base if not len(step) else step @ base if len(base) else step
+    if not len(step):
+        return base
+    if len(base):
+        return step @ base
+    return step
 
 
 class _Found(NamedTuple):
@@ -188,9 +192,10 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         columns = np.ascontiguousarray(ahead.mean.T)
         frame = self._frame
         noise = model.sensor.target_noise(columns)
-        noise = (
-            noise if len(noise) else model.sensor.measurement_noise(z).mean(axis=0, keepdims=True)
-        )
+        if len(noise):
+            noise = noise
+        else:
+            noise = model.sensor.measurement_noise(z).mean(axis=0, keepdims=True)
         boxes = differences(
             ahead.mean, ahead.covariance, noise, np.ascontiguousarray(z[:4].T), state.scale
         )
@@ -208,11 +213,10 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         it.
         """
         velocity = self._motion(warp) / dt
-        left = (
-            fading * state.left
-            if state.followed or not len(given)
-            else self._motion(given) / dt - velocity
-        )
+        if state.followed or not len(given):
+            left = fading * state.left
+        else:
+            left = self._motion(given) / dt - velocity
         s = state
         return CameraState(
             s.mean,

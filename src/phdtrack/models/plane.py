@@ -195,7 +195,10 @@ class PlaneSensor(PositionSensor):
         if self.scaling == "fixed":
             noise = np.tile(self.fixed_noise**2 * np.eye(2), (len(detections), 1, 1))
         elif self.camera is not None:
-            pixel = self._pixel_covariance(box[2:]) if cov is None else _FOOT @ cov @ _FOOT.T
+            if cov is None:
+                pixel = self._pixel_covariance(box[2:])
+            else:
+                pixel = _FOOT @ cov @ _FOOT.T
             noise = ground_covariance(self.camera, foot, pixel)
         elif cov is not None:
             noise = cov[:, :2, :2]
@@ -204,7 +207,10 @@ class PlaneSensor(PositionSensor):
                 "the sensor's scaling is 'given' and it has no camera, but the detections bring no covariance",
                 cure="Use sensor.scaling=fixed, or give a camera",
             )
-        point = box[:2] if self.camera is None else self.camera.ground(foot)
+        if self.camera is None:
+            point = box[:2]
+        else:
+            point = self.camera.ground(foot)
         z = np.stack([*point, noise[:, 0, 0], noise[:, 0, 1], noise[:, 1, 1]])
         usable = np.isfinite(z).all(axis=0) & (z[2] * z[4] > z[3] ** 2)
         return np.where(usable, z, np.nan)
@@ -217,7 +223,10 @@ class PlaneSensor(PositionSensor):
     def p_detect(self, x: F8) -> F8:
         """p_D · visible · max(1 − c^1.5, least)."""
         if self.camera is None:
-            watched = inside(x, self.borders) if self.view else np.ones(x.shape[1], np.bool_)
+            if self.view:
+                watched = inside(x, self.borders)
+            else:
+                watched = np.ones(x.shape[1], np.bool_)
             return np.where(watched, self.detection_probability, 0.0)
         out = np.full(x.shape[1], self.detection_probability)
         width, height = self.frame_size

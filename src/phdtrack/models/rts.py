@@ -42,11 +42,17 @@ def moved(motion: Motion, mean: F8, dt: float, warp: F8 = STILL) -> tuple[F8, F8
         where there is none.
     """
     x = np.ascontiguousarray(mean.T)
-    slope = motion.warp_jacobian(x, warp) if len(warp) else None
+    if len(warp):
+        slope = motion.warp_jacobian(x, warp)
+    else:
+        slope = None
     later, jacobian, noise = motion.transition(
         x if slope is None else motion.warp_states(x, warp), dt
     )
-    f = jacobian if slope is None else jacobian @ slope
+    if slope is None:
+        f = jacobian
+    else:
+        f = jacobian @ slope
     return np.ascontiguousarray(later.T), np.ascontiguousarray(f), np.ascontiguousarray(noise)
 
 

@@ -186,11 +186,9 @@ class SceneClutter(Checked):
         learned = self.clutter_per_frame * self.density(
             z[: self.density.dim], outside=self.density.flat
         )
-        return (
-            learned + self.clutter_per_detection / local_volume(z)
-            if self.clutter_per_detection
-            else learned
-        )
+        if self.clutter_per_detection:
+            return learned + self.clutter_per_detection / local_volume(z)
+        return learned
 
 
 def in_one_volume(birth: Birth, clutter: Clutter) -> tuple[Birth, Clutter]:
@@ -260,7 +258,9 @@ class FalseAlarmRatio:
     @cached_property
     def _entrances(self) -> SceneDensity | None:
         """p(z|b) of boxes."""
-        return None if self.births is None else marginal(self.births.density, OBSERVED)
+        if self.births is None:
+            return None
+        return marginal(self.births.density, OBSERVED)
 
 
 def not_standing(what: str) -> InputError:

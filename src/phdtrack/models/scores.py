@@ -128,7 +128,10 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         limit = math.log(self.max_odds)
         slope, offset = self._line(state, kind)
         single = np.minimum(np.maximum(slope * x + offset, -limit), limit)
-        lasting = LASTING_SHARE * single if kind == RANK else x
+        if kind == RANK:
+            lasting = LASTING_SHARE * single
+        else:
+            lasting = x
         nothing = np.isnan(x)
         if nothing.any():
             return np.where(nothing, 0.0, single), np.where(nothing, 0.0, lasting)

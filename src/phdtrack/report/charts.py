@@ -309,7 +309,10 @@ def _over_scene(axes: Axes, image: Image, *, darkness: float) -> Picture:
     if image.size:
         left, low, right, high = np.rint(axes.get_window_extent().extents).astype(int).tolist()
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        way = cv2.INTER_AREA if right - left < image.shape[1] else cv2.INTER_CUBIC
+        if right - left < image.shape[1]:
+            way = cv2.INTER_AREA
+        else:
+            way = cv2.INTER_CUBIC
         grey = cv2.resize(grey, (right - left, high - low), interpolation=way)
         ground[len(ground) - high : len(ground) - low, left:right] = cv2.convertScaleAbs(
             grey, alpha=1 - darkness

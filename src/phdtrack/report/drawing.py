@@ -59,7 +59,9 @@ _POINTS = 19
 
 def identity_colour(identity: int) -> Rgb:
     """Red, green, blue (0–255) of the target with this identity (from 1); grey for none (0)."""
-    return COLOURS[(identity - 1) % len(COLOURS)] if identity else _WITHOUT_IDENTITY
+    if identity:
+        return COLOURS[(identity - 1) % len(COLOURS)]
+    return _WITHOUT_IDENTITY
 
 
 def feet(xyxy: F8) -> F8:
@@ -346,7 +348,10 @@ class Annotator:
             all="ignore"
         ):  # where a track lies is no false alarm: it may rest on later frames
             tracked = iou(detections.xyxy, rows.xyxy[rows.confirmed]).max(axis=1, initial=0.0) > 0.5
-        false_alarm = ~tracked & (clutter_probability > 0.5) if known else np.zeros(count, np.bool_)
+        if known:
+            false_alarm = ~tracked & (clutter_probability > 0.5)
+        else:
+            false_alarm = np.zeros(count, np.bool_)
         canvas.glaze_boxes(detections.xyxy[~false_alarm], _WHITE, canvas.thin, 0.75)
         canvas.glaze_boxes(
             detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True
@@ -365,7 +370,10 @@ class Annotator:
             words = [self._names.get(one, str(one)) for one in rows.class_id.tolist()]
             labels = [f"{word} {label}" for word, label in zip(words, labels, strict=True)]
         canvas.targets(rows.xyxy, [identity_colour(k) for k in identities], rows.predicted, labels)
-        expected = f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
+        if math.isfinite(mass):
+            expected = f"   expected count {mass:.1f}"
+        else:
+            expected = ""
         header = f"frame {number}   {len(rows)} track{'s' * (len(rows) != 1)}{expected}"
         canvas.plate(header, (0, 0), _BLACK, opacity=0.65, once=True)
         return canvas.onto(image)
@@ -394,11 +402,10 @@ class Annotator:
                 np.clip(mine[np.isfinite(mine).all(axis=1)], -1e4, 1e4).round().astype(np.int32)
             )
             pieces = min(_FADING, len(points) - 1)
-            bounds = (
-                [round(k * (len(points) - 1) / pieces) for k in range(pieces + 1)]
-                if pieces > 0
-                else []
-            )
+            if pieces > 0:
+                bounds = [round(k * (len(points) - 1) / pieces) for k in range(pieces + 1)]
+            else:
+                bounds = []
             lines = [points[first : last + 1] for first, last in pairwise(bounds)]
             self._sheet.coloured_lines(lines, identity_colour(identity), self._sheet.line)
             for k, line in enumerate(lines, start=1):
@@ -575,11 +582,10 @@ class Plan:
                 ends[axis] = value
                 line = self.pixels(ends)
                 canvas.path(line, _GRID, canvas.thin)
-                spot = (
-                    (int(line[0, 0]) + 3, self.height - 5)
-                    if axis == 0
-                    else (3, int(line[1, 0]) - 3)
-                )
+                if axis == 0:
+                    spot = (int(line[0, 0]) + 3, self.height - 5)
+                else:
+                    spot = (3, int(line[1, 0]) - 3)
                 canvas.text(f"{value:g}{' m' if value == 0 else ''}", spot, _WITHOUT_IDENTITY)
         for edge in self.edges:
             canvas.path(self.pixels(edge), _ROAD_EDGE, canvas.line + 1)
@@ -624,7 +630,9 @@ def _label(frame: GroupFrame, g: int) -> str:
     if (identity and count < 1.5) or count < 0.5:
         return ""
     many = f"{count:.1f}" + (f" +-{deviation:.1f}" if deviation >= 0.05 else "")
-    return f"group {identity}: {many}" if identity else many
+    if identity:
+        return f"group {identity}: {many}"
+    return many
 
 
 def _fixed(points: F8) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:

@@ -98,12 +98,14 @@ def doubts(record: RunRecord, *, background: bool) -> tuple[str, ...]:
     """
     length = record.lifetimes
     whole = record.whole
-    short = float((length < _SHORT * record.info.fps).mean()) if len(length) else 0.0
-    unused = (
-        1 - (whole.rows - whole.predicted) / whole.detections
-        if background and whole.detections >= _ENOUGH
-        else 0.0
-    )
+    if len(length):
+        short = float((length < _SHORT * record.info.fps).mean())
+    else:
+        short = 0.0
+    if background and whole.detections >= _ENOUGH:
+        unused = 1 - (whole.rows - whole.predicted) / whole.detections
+    else:
+        unused = 0.0
     limits = {"most_short": _MOST_SHORT, "most_unused": _MOST_UNUSED, "enough": _ENOUGH}
     return lines("doubts.txt", short=short, count=len(length), unused=unused, **limits)
 
@@ -195,7 +197,9 @@ def score(value: float) -> str:
     """A score with three decimals, a count without any."""
     if not math.isfinite(value):
         return "undefined"
-    return grouped(value) if isinstance(value, int | np.integer) else f"{value:.3f}"
+    if isinstance(value, int | np.integer):
+        return grouped(value)
+    return f"{value:.3f}"
 
 
 def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str, str], ...]:

@@ -227,7 +227,10 @@ class Recorder:
         self._rows.append(
             (*row, *_likely_range(info.cardinality), tracks, detect_seconds, *step.seconds)
         )
-        self._first = self._first if whole.frames else step.time
+        if whole.frames:
+            self._first = self._first
+        else:
+            self._first = step.time
         self._whole = whole._replace(
             frames=whole.frames + 1,
             seconds=step.time - self._first,
@@ -285,7 +288,9 @@ class Recorder:
 def known_mean(values: F8) -> float:
     """The mean of those that are finite; NaN without any."""
     known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else math.nan
+    if len(known):
+        return float(known.mean())
+    return math.nan
 
 
 def shrunk(image: Image, width: int) -> Image:

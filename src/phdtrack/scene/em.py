@@ -236,7 +236,10 @@ def criterion(p: SceneDensity, samples: Samples) -> float:
 def _moved(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
     """What each of the moves makes of ``p``."""
     each = range(len(p))
-    without = [_without(p, np.array([m])) for m in each] if len(p) > 1 else []
+    if len(p) > 1:
+        without = [_without(p, np.array([m])) for m in each]
+    else:
+        without = []
     return [*without, *(_split(p, m) for m in each), *_with_crowds(p, samples)]
 
 
@@ -325,7 +328,10 @@ def _filled(x: F8) -> F8:
     gaps = np.isnan(x)
     complete = x[:, ~gaps.any(axis=0)]
     out = np.where(gaps, 0.0, x)
-    scale = np.maximum(complete.std(axis=1), 1e-150) if complete.shape[1] else np.zeros(0)
+    if complete.shape[1]:
+        scale = np.maximum(complete.std(axis=1), 1e-150)
+    else:
+        scale = np.zeros(0)
     for j in np.flatnonzero(gaps.any(axis=0)) if complete.shape[1] else ():
         step = np.where(gaps[:, j], 0.0, (complete - out[:, [j]]).T / scale)
         nearest = np.argmin(np.square(step).sum(axis=1))

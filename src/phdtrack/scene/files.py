@@ -93,7 +93,10 @@ def read_scene(path: Path) -> Scene:
     """The scene in a file. Raises `InputError` where there is none, or it is no scene."""
     document = read_json(path, load(path))
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        found = document.get("format") if isinstance(document, dict) else type(document).__name__
+        if isinstance(document, dict):
+            found = document.get("format")
+        else:
+            found = type(document).__name__
         raise InputError(
             f"expected a learned scene of format {FORMAT}, got {reprlib.repr(found)}",
             where=path,
@@ -111,7 +114,10 @@ def read_scene(path: Path) -> Scene:
             _followed(document.get("followed")),
         )
     except (InputError, KeyError, TypeError, ValueError, OverflowError) as error:
-        what = str(error) if isinstance(error, InputError) else f"{type(error).__name__} {error}"
+        if isinstance(error, InputError):
+            what = str(error)
+        else:
+            what = f"{type(error).__name__} {error}"
         raise InputError(f"no learned scene: {what}", where=path, cure="Learn it again") from None
 
 
@@ -149,7 +155,10 @@ def _learned(document: Any, dim: int) -> LearnedDensity | None:
 
 def _followed(document: Any) -> TrackedObjects | None:
     """What is followed; None also for scenes that were written before there was any."""
-    objects = None if document is None else _learned(document["objects"], 4)
+    if document is None:
+        objects = None
+    else:
+        objects = _learned(document["objects"], 4)
     if objects is None:
         return None
     share = float(document["share"])

@@ -167,7 +167,9 @@ def shown_volume(p: SceneDensity) -> float:
     """V of the positions and sizes of boxes, pixel⁴, for a density of boxes (d = 4) or of their
     states (d = 6).
     """
-    return p.volume if p.dim == len(OBSERVED) else marginal(p, OBSERVED).volume
+    if p.dim == len(OBSERVED):
+        return p.volume
+    return marginal(p, OBSERVED).volume
 
 
 def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
@@ -235,7 +237,9 @@ def _problem(p: SceneDensity) -> str:
     if not 0 < p.uniform <= 1:
         return f"the share of the uniform part must be above 0 and at most 1, got {p.uniform:g}"
     if m == 0:
-        return "" if p.uniform == 1 else "without Gaussians the uniform part has the share 1"
+        if p.uniform == 1:
+            return ""
+        return "without Gaussians the uniform part has the share 1"
     if (p.weight < 0).any() or abs(p.weight.sum() - 1) > 1e-9:
         return f"the Gaussians' weights must be from 0 and of sum 1, got {p.weight.sum():.12g}"
     if (np.linalg.eigvalsh(p.covariance) <= 0).any():

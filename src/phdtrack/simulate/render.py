@@ -92,7 +92,10 @@ def _scaled(levels: tuple[Image, ...], box: F8, *, mirrored: bool = False) -> _P
     """
     left, top, right, bottom = box.tolist()
     fitting = [level for level in levels if level.shape[0] >= bottom - top]
-    sprite = fitting[-1] if fitting else levels[0]
+    if fitting:
+        sprite = fitting[-1]
+    else:
+        sprite = levels[0]
     x0 = int(np.floor(left))
     y0 = int(np.floor(top))
     size = (int(np.ceil(right)) - x0, int(np.ceil(bottom)) - y0)
@@ -448,7 +451,10 @@ class Rendered:
             int, tuple[tuple[Image, ...], ...]
         ] = {}  # figures are drawn when they first appear
         # The wall meets the ground a little above the uppermost foot.
-        highest = figures[:, 3].min() if len(figures) else 0.5 * info.height
+        if len(figures):
+            highest = figures[:, 3].min()
+        else:
+            highest = 0.5 * info.height
         base = int(np.clip(highest - 0.01 * info.height, 0.15 * info.height, 0.6 * info.height))
         self._backdrop = _backdrop(info, base, scene.doors, backdrop_rng)
         places = place_boxes(info, look.plants, figures[:, 2:] - figures[:, :2], places_rng)
@@ -554,7 +560,10 @@ def _gait(figures: Truth) -> tuple[I8, Bool]:
 def _leaves(info: SequenceInfo, number: int, rng: np.random.Generator) -> list[_Placed]:
     """Blown leaves anywhere in the frame."""
     centre = rng.random((number, 2)) * np.array([info.width, info.height])
-    sprites = [_blown_leaf(info.height, rng) for _ in range(40)] if number else []
+    if number:
+        sprites = [_blown_leaf(info.height, rng) for _ in range(40)]
+    else:
+        sprites = []
     leaves = [sprites[k] for k in rng.integers(max(len(sprites), 1), size=number)]
     corner = centre - np.array([leaf.shape[1::-1] for leaf in leaves]).reshape(-1, 2) / 2
     return [

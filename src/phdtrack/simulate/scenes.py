@@ -268,10 +268,16 @@ class Scenario(Checked):
         weight = np.array([e.weight for e in self.entrances])
         first = int(rng.choice(len(weight), p=weight / weight.sum()))
         others = weight * (np.arange(len(weight)) != first)
-        last = int(rng.choice(len(weight), p=others / others.sum())) if others.any() else first
+        if others.any():
+            last = int(rng.choice(len(weight), p=others / others.sum()))
+        else:
+            last = first
         start, end = (self._foot(self.entrances[i], stature, rng) for i in (first, last))
         between = (float(rng.uniform(0.2, 0.8)), float(rng.uniform(*self.rows)))
-        gaps = rng.exponential(1 / self.pause_rate, size=8) if self.pause_rate else np.zeros(0)
+        if self.pause_rate:
+            gaps = rng.exponential(1 / self.pause_rate, size=8)
+        else:
+            gaps = np.zeros(0)
         lengths = rng.exponential(self.pause_seconds, size=len(gaps))
         pauses = tuple(zip(np.cumsum(gaps).tolist(), lengths.tolist(), strict=True))
         return Walk((start, between, end), at, speed, stature, pauses)

@@ -103,7 +103,10 @@ class Smoothing:
 
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
         """The tracks joined and smoothed."""
-        paths = paths_of(tracks, measurements) if self.stitching or self.smoothing else None
+        if self.stitching or self.smoothing:
+            paths = paths_of(tracks, measurements)
+        else:
+            paths = None
         if paths is None or len(paths) == 0:
             return _going(tracks, self.min_extent, self.frame_size)
         sequence = Sequence.of(measurements, model)
@@ -142,7 +145,9 @@ def _going(tracks: Tracks, extent: float, size: tuple[float, float]) -> Tracks:
             np.median(high, axis=0) >= size - _CUT * box, np.maximum(way, np.ptp(low, axis=0)), way
         )
         kept[rows] = (way >= extent * box).any()
-    return tracks if kept.all() else _numbered(tracks.take(kept))
+    if kept.all():
+        return tracks
+    return _numbered(tracks.take(kept))
 
 
 def _rows(

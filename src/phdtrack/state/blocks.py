@@ -29,18 +29,19 @@ _DTYPE = re.compile(r"[<>|][biuf](1|2|4|8)")
 
 def _plain(dtype: np.dtype[Any]) -> bool:
     """Whether these are numbers, or records of numbers."""
-    return (
-        all(dtype[name].kind in _KINDS for name in dtype.names)
-        if dtype.names
-        else dtype.kind in _KINDS
-    )
+    if dtype.names:
+        return all(dtype[name].kind in _KINDS for name in dtype.names)
+    return dtype.kind in _KINDS
 
 
 def _dtype(said: Any) -> np.dtype[Any]:
     """The type of an array that a block names. Raises ``ValueError`` or ``TypeError`` where it is
     none of ours.
     """
-    columns = said if isinstance(said, list) else [("", said)]
+    if isinstance(said, list):
+        columns = said
+    else:
+        columns = [("", said)]
     if not all(_DTYPE.fullmatch(kind) for _, kind in columns):
         raise ValueError
     return np.dtype([(str(name), kind) for name, kind in said] if isinstance(said, list) else said)
@@ -125,7 +126,10 @@ def blocks(file: BinaryIO, where: str | Path = "") -> Iterator[tuple[int, Any]]:
         if len(head) < _HEAD.size:
             return
         length = _HEAD.unpack(head)[0]
-        content = file.read(length) if length <= _LONGEST else b""
+        if length <= _LONGEST:
+            content = file.read(length)
+        else:
+            content = b""
         try:
             value = from_bytes(head + content, where)
         except InputError:

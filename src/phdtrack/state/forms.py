@@ -247,7 +247,10 @@ def _labelled(r: Any, w: World) -> bool:
         for x, m in zip(names, moments, strict=True)
     ):
         return False
-    open_ = moments[-max(len(r.recent), w.sizes["delay"]) :] if moments else []
+    if moments:
+        open_ = moments[-max(len(r.recent), w.sizes["delay"]) :]
+    else:
+        open_ = []
     tags = np.concatenate([np.zeros(0, np.int64), *names[len(names) - len(open_) :]])
     grows = _rises([m.number for m in moments]) and _rises([m.time for m in moments])
     return (
@@ -281,23 +284,31 @@ def _tracking(r: Any, w: World) -> bool:
         or (moments[-1].number if moments else 0) != r.number
     ):
         return False
-    late = [m.z.shape[1] for m in moments[-len(r.given) :]] if r.given else []
+    if r.given:
+        late = [m.z.shape[1] for m in moments[-len(r.given) :]]
+    else:
+        late = []
     if len(late) != len(r.given) or any(g.dtype != np.int64 or g.ndim != 1 for g in r.given):
         return False
     if not all(_within(g, 0, count) for g, count in zip(r.given, late, strict=True)):
         return False
     # In the filter's terms.
     there = [len(g) or count for g, count in zip(r.given, late, strict=True)][::-1]
-    layers = (
-        r.intensity.layers if type(r.intensity).__name__ in ("Bernoullis", "Hypotheses") else ()
-    )
+    if type(r.intensity).__name__ in ("Bernoullis", "Hypotheses"):
+        layers = r.intensity.layers
+    else:
+        layers = ()
     for k, layer in enumerate(layers[::-1]):
-        found = (
-            layer.detection
-            if type(r.intensity).__name__ == "Hypotheses"
-            else layer.hypotheses["detection"]
-        )
-        most = there[k] if k < len(there) else moments[-1 - k].z.shape[1] if k < len(moments) else 0
+        if type(r.intensity).__name__ == "Hypotheses":
+            found = layer.detection
+        else:
+            found = layer.hypotheses["detection"]
+        if k < len(there):
+            most = there[k]
+        elif k < len(moments):
+            most = moments[-1 - k].z.shape[1]
+        else:
+            most = 0
         if not _within(found, -1, most):
             return False
     return r.shown is None or all(

@@ -65,7 +65,9 @@ class _Field(NamedTuple):
 def _limit(word: str) -> float | str:
     """The number that a bound is; its name where that is not known yet; empty for none."""
     try:
-        return SYMBOLS[word] if word in SYMBOLS else float(word)
+        if word in SYMBOLS:
+            return SYMBOLS[word]
+        return float(word)
     except ValueError:
         return word
 
@@ -131,7 +133,10 @@ def _wrong(where: str, problem: str) -> InputError:
 
 def _named(packed: Any) -> str:
     """The name of the record that this is; empty where it is none."""
-    name = packed.get("record") if isinstance(packed, dict) else None
+    if isinstance(packed, dict):
+        name = packed.get("record")
+    else:
+        name = None
     return name if isinstance(name, str) else ""
 
 
@@ -156,7 +161,9 @@ def _reader(hint: Any) -> Reader:
         return partial(_dictionary, _reader(inside[0]), _reader(inside[1]))
     if kind in (Union, UnionType):
         return partial(_one_of, {one.__name__: _reader(one) for one in inside})
-    return partial(_record, hint) if is_record(hint) else _open
+    if is_record(hint):
+        return partial(_record, hint)
+    return _open
 
 
 def _number(kinds: tuple[type[Any], ...], packed: Any, like: Any, world: World, where: str) -> Any:
@@ -164,25 +171,37 @@ def _number(kinds: tuple[type[Any], ...], packed: Any, like: Any, world: World, 
         raise _wrong(where, f"expected {kinds[0].__name__}, got {type(packed).__name__}")
     # Compiled code makes a difference between 1 and 1.0.
     made: Any = packed
-    return float(made) if kinds[0] is float else made
+    if kinds[0] is float:
+        return float(made)
+    return made
 
 
 def _array(dtypes: tuple[str, ...], packed: Any, like: Any, world: World, where: str) -> Any:
     name = where.rpartition(".")[2]
     records = dtypes == ("V",)
-    wanted = [_columns(name)] if records else [np.dtype(one) for one in dtypes]
+    if records:
+        wanted = [_columns(name)]
+    else:
+        wanted = [np.dtype(one) for one in dtypes]
     if type(packed) is not np.ndarray or packed.dtype.descr not in [one.descr for one in wanted]:
-        got = packed.dtype if isinstance(packed, np.ndarray) else type(packed).__name__
+        if isinstance(packed, np.ndarray):
+            got = packed.dtype
+        else:
+            got = type(packed).__name__
         raise _wrong(where, f"expected an array of {' or '.join(map(str, wanted))}, got {got}")
     made = packed.copy()
-    return made.view(wanted[0]) if records else made
+    if records:
+        return made.view(wanted[0])
+    return made
 
 
 def _columns(name: str) -> np.dtype[np.void]:
     """The type of the records of `kernels.pmb`, which is loaded where there are some."""
     from phdtrack.kernels.pmb import HYPOTHESIS, TARGET
 
-    return TARGET if name == "targets" else HYPOTHESIS
+    if name == "targets":
+        return TARGET
+    return HYPOTHESIS
 
 
 def _tuple(
@@ -226,7 +245,11 @@ def _open(packed: Any, like: Any, world: World, where: str) -> Any:
     found = _named(packed)
     module, _, record = found.partition(":")
     usual = type(like).__name__
-    allowed = (usual, "ParticleBlocks") if usual == "Particles" else (usual,)
+    allowed: tuple[str, ...]
+    if usual == "Particles":
+        allowed = (usual, "ParticleBlocks")
+    else:
+        allowed = (usual,)
     if record not in allowed or not module.startswith("phdtrack."):
         raise _wrong(
             where, f"expected {' or '.join(allowed)}, got {found or type(packed).__name__}"
@@ -264,11 +287,17 @@ def _plan(kind: Any) -> tuple[dict[str, Reader], list[_Field]]:
 def _record(kind: Any, packed: Any, like: Any, world: World, where: str) -> Any:
     """A record of this type."""
     full = f"{kind.__module__}:{kind.__name__}"
-    inside = packed.get("fields") if _named(packed) == full else None
+    if _named(packed) == full:
+        inside = packed.get("fields")
+    else:
+        inside = None
     readers, form = _plan(kind)
     if not isinstance(inside, dict) or inside.keys() != readers.keys():
         raise _wrong(where, f"expected a {kind.__name__}")
-    before = like if type(like) is kind else None
+    if type(like) is kind:
+        before = like
+    else:
+        before = None
     found = {
         n: read(inside[n], getattr(before, n, None), world, f"{where}.{n}")
         for n, read in readers.items()
@@ -288,17 +317,26 @@ def _check(found: dict[str, Any], form: list[_Field], world: World, where: str) 
     """Raise `InputError` where a field is not of its form."""
     known = dict[str, int]()
     for field in form:
-        value = found[field.name][field.column] if field.column else found[field.name]
+        if field.column:
+            value = found[field.name][field.column]
+        else:
+            value = found[field.name]
         if field.shape is not None and not _has_shape(value, field.shape, known, world.sizes):
             problem = f"expected an array of shape ({', '.join(field.shape)}), got {value.shape}"
             raise _wrong(f"{where}.{field.name}", f"{problem} beside {known | world.sizes}")
     for field in form:
-        value = found[field.name][field.column] if field.column else found[field.name]
+        if field.column:
+            value = found[field.name][field.column]
+        else:
+            value = found[field.name]
         if not _is_good(value, field, found, known):
             low, high = (
                 f"{one:g}" if isinstance(one, float) else one for one in (field.low, field.high)
             )
-            bounds = f"from {low} to {high}".removesuffix(" to ") if low else "that are finite"
+            if low:
+                bounds = f"from {low} to {high}".removesuffix(" to ")
+            else:
+                bounds = "that are finite"
             more = " and ".join(sorted(_SAID[one] for one in field.more if one in _SAID))
             raise _wrong(
                 f"{where}.{field.name}", f"expected numbers {bounds}{more and f', {more}'}"
@@ -346,9 +384,9 @@ def _bound(limit: float | str, usual: float, found: dict[str, Any], known: dict[
     if isinstance(limit, float):
         return limit
     name = limit.removesuffix("-1")
-    return (
-        float(known[name] if name in known else found[name]) - (name != limit) if limit else usual
-    )
+    if limit:
+        return float(known[name] if name in known else found[name]) - (name != limit)
+    return usual
 
 
 def _is_good(value: Any, field: _Field, found: dict[str, Any], known: dict[str, int]) -> bool:
@@ -356,13 +394,19 @@ def _is_good(value: Any, field: _Field, found: dict[str, Any], known: dict[str, 
     array = isinstance(value, np.ndarray)
     if array and (not value.size or value.dtype.kind in "bV"):
         return True
-    usual = _WHOLE if isinstance(value, int) or (array and value.dtype.kind == "i") else LARGEST
+    if isinstance(value, int) or (array and value.dtype.kind == "i"):
+        usual = _WHOLE
+    else:
+        usual = LARGEST
     low = _bound(field.low, -usual, found, known)
     high = _bound(field.high, usual, found, known)
     if not array:
         return low <= value <= high or ("nan" in field.more and math.isnan(value))
     if "nan" in field.more or "inf" in field.more:
-        bad = np.isnan(value) if "inf" in field.more else np.isinf(value)
+        if "inf" in field.more:
+            bad = np.isnan(value)
+        else:
+            bad = np.isinf(value)
         return {"nan", "inf"} <= field.more or not bad.any()
     # NaN is the least and the greatest.
     if not (

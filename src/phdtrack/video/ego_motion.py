@@ -89,7 +89,10 @@ class CameraMotion:
     """
 
     def __init__(self, settings: SparseFlow | None = None) -> None:
-        self.settings = SparseFlow() if settings is None else settings
+        if settings is None:
+            self.settings = SparseFlow()
+        else:
+            self.settings = settings
         self.reset()
 
     def reset(self) -> None:
@@ -104,7 +107,11 @@ class CameraMotion:
         Raises `InputError` where ``image`` is no picture.
         """
         now = _view(image, xyxy, self.settings.width)
-        warp = np.eye(3) if self._before is None else _between(self._before, now, self.settings)
+        warp: F8 | None
+        if self._before is None:
+            warp = np.eye(3)
+        else:
+            warp = _between(self._before, now, self.settings)
         self._before = now
         self.measured = warp is not None
         return np.eye(3) if warp is None else warp
@@ -129,7 +136,10 @@ def _view(image: Image, xyxy: F8, width: int) -> _View:
             f"expected a picture (H, W, 3), got an array of shape {image.shape}",
             where="camera motion",
         )
-    gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    if image.ndim == 2:
+        gray = image
+    else:
+        gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     scale = min(1.0, width / gray.shape[1])
     if scale < 1:
         gray = cv2.resize(

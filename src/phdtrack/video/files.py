@@ -109,8 +109,14 @@ class VideoSource:
                 problem = f"this frame is {wide}x{high} pixels, the first one {self.info.width}x{self.info.height}"
                 cure = "All frames of a sequence need one size: split the input where the size changes."
                 raise InputError(problem, where=where, cure=cure)
-            moment = math.nan if stamp is None else stamp - zero
-            last = moment if moment > last else last + interval
+            if stamp is None:
+                moment = math.nan
+            else:
+                moment = stamp - zero
+            if moment > last:
+                last = moment
+            else:
+                last = last + interval
             if stamp is not None:
                 zero = stamp - last
             if number >= self.first:
@@ -162,18 +168,22 @@ def open_source(
         close = difflib.get_close_matches(
             path.name, [file.name for file in path.parent.iterdir()], n=1
         )
-        cure = f"Did you mean {path.parent / close[0]}?" if close else "Check the spelling."
-        cure = "Say * in place of the number: 'img/*.png'." if "%" in path.name else cure
+        if close:
+            cure = f"Did you mean {path.parent / close[0]}?"
+        else:
+            cure = "Check the spelling."
+        if "%" in path.name:
+            cure = "Say * in place of the number: 'img/*.png'."
+        else:
+            cure = cure
     raise InputError("there is no such file or folder", where=text, cure=cure)
 
 
 def _rate(rate: float, what: str) -> tuple[float, str]:
     """The rate in frames per second, and a note where it is not known (0)."""
-    return (
-        (rate, "")
-        if rate > 0
-        else (_DEFAULT_FPS, f"{what} not state its rate; {_DEFAULT_FPS:g} frames a second assumed")
-    )
+    if rate > 0:
+        return (rate, "")
+    return (_DEFAULT_FPS, f"{what} not state its rate; {_DEFAULT_FPS:g} frames a second assumed")
 
 
 def _images(files: Sequence[Path], fps: float, folder: Path) -> VideoSource:
@@ -181,7 +191,10 @@ def _images(files: Sequence[Path], fps: float, folder: Path) -> VideoSource:
     called NAME.
     """
     folder = folder.resolve()
-    name = folder.parent.name if folder.name == "img1" else folder.name
+    if folder.name == "img1":
+        name = folder.parent.name
+    else:
+        name = folder.name
     if not files:
         raise InputError(
             "there is no image",
@@ -224,7 +237,9 @@ def frame_numbers(stems: Sequence[str]) -> list[int]:
         return counted
     stride = math.gcd(*steps)
     relative = [(number - numbers[0]) // stride + 1 for number in numbers]
-    return relative if relative[-1] <= _MOST_MISSING * len(stems) else counted
+    if relative[-1] <= _MOST_MISSING * len(stems):
+        return relative
+    return counted
 
 
 def _image(path: Path) -> Image:
@@ -235,7 +250,10 @@ def _image(path: Path) -> Image:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
         raise InputError(f"this file cannot be read ({error.strerror})", where=path) from None
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+    if data.size:
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    else:
+        image = None
     if image is None:
         raise InputError(
             "this is not an image that can be read",
@@ -253,9 +271,14 @@ def _stamps(container: Any, stream: Any, count: int) -> list[int]:
         packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard
     )
     found = list(islice(packets, count + _REORDERED))
-    order = [] if None in found else sorted(range(len(found)), key=found.__getitem__)
+    if None in found:
+        order = []
+    else:
+        order = sorted(range(len(found)), key=found.__getitem__)
     ordered = all(abs(place - number) <= _REORDERED for place, number in enumerate(order))
-    return [found[number] for number in order[:count]] if ordered else []
+    if ordered:
+        return [found[number] for number in order[:count]]
+    return []
 
 
 def _video(path: str, fps: float, first: int) -> VideoSource:
@@ -275,9 +298,15 @@ def _video(path: str, fps: float, first: int) -> VideoSource:
         with _open(path) as (container, stream):
             stamps = _stamps(container, stream, first)
         with _open(path) as (container, stream):
-            found = next(_from(container, stream, stamps, losses), None) if stamps else None
+            if stamps:
+                found = next(_from(container, stream, stamps, losses), None)
+            else:
+                found = None
             # A file that cannot jump there is decoded from its beginning.
-            stamps = stamps if found is not None and found.pts == stamps[-1] else []
+            if found is not None and found.pts == stamps[-1]:
+                stamps = stamps
+            else:
+                stamps = []
     if picture is None:
         problem = f"no frame could be decoded{f' ({losses[0][1]})' if losses else ''}"
         cure = "The file is empty or damaged: copy it again, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)."
@@ -293,7 +322,10 @@ def _video(path: str, fps: float, first: int) -> VideoSource:
             for number, picture in enumerate(
                 _from(container, stream, jump, losses, source), start=before + 1
             ):
-                stamp = (number - 1) / fps if fps else picture.time
+                if fps:
+                    stamp = (number - 1) / fps
+                else:
+                    stamp = picture.time
                 yield number, stamp, Decoded(picture), f"{path}, frame {number}"
         if losses:
             after, reason = losses[0]
@@ -317,7 +349,12 @@ def _video(path: str, fps: float, first: int) -> VideoSource:
                 last = picture.time
                 yield Frame(k + 1, last, Decoded(picture))
 
-    zero = 0.0 if fps else float(stamps[0] * stream.time_base) if stamps else math.nan
+    if fps:
+        zero = 0.0
+    elif stamps:
+        zero = float(stamps[0] * stream.time_base)
+    else:
+        zero = math.nan
     announced = stream.frames or round(length / 1e6 * rate)
     return VideoSource(info, read, note, announced=announced, sample=sample, first=first, zero=zero)
 
@@ -359,19 +396,28 @@ def _open(path: str) -> Iterator[tuple[Any, Any]]:
         cure += "`ffmpeg -i IN -c:v libx264 OUT.mp4` converts most other kinds."
         if remote:
             cure = "Check the address, and that what it names is switched on and can be reached from here."
-        late = f"no answer in {CONNECT:g} s" if isinstance(error, av.ExitError) else _reason(error)
+        if isinstance(error, av.ExitError):
+            late = f"no answer in {CONNECT:g} s"
+        else:
+            late = _reason(error)
         raise InputError(
             f"this cannot be read as a video ({late})", where=path, cure=cure
         ) from None
     with container:
         stream = next(iter(container.streams.video), None)
         if stream is None or stream.codec_context is None:
-            which = "there is no video" if stream is None else "FFmpeg has no decoder for the video"
+            if stream is None:
+                which = "there is no video"
+            else:
+                which = "FFmpeg has no decoder for the video"
             cure = "Give another one, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)."
             raise InputError(f"{which} in this file", where=path, cure=cure)
         # A second thread takes the memory of a dozen pictures, and helps where they are larger than
         # 1080p.
-        threads = 2 if stream.width * stream.height > _LARGE else 1
+        if stream.width * stream.height > _LARGE:
+            threads = 2
+        else:
+            threads = 1
         stream.thread_type = "AUTO"
         stream.codec_context.thread_count = threads
         yield container, stream
@@ -404,9 +450,10 @@ def _pictures(
                 yield picture
     except (av.FFmpegError, IndexError) as error:
         # PyAV knows no streams but those that there were at the beginning.
-        reason = (
-            "it goes on with other streams" if isinstance(error, IndexError) else _reason(error)
-        )
+        if isinstance(error, IndexError):
+            reason = "it goes on with other streams"
+        else:
+            reason = _reason(error)
         losses.append((number, reason))
 
 
@@ -448,7 +495,10 @@ class Decoded:
         self._turns = round(picture.rotation / 90) % 4
         wide = picture.width
         high = picture.height
-        self.size = (high, wide) if self._turns % 2 else (wide, high)
+        if self._turns % 2:
+            self.size = (high, wide)
+        else:
+            self.size = (wide, high)
         self._image: Image | None = None
         self._ready: tuple[tuple[int, int], Image] | None = None
 
@@ -463,7 +513,10 @@ class Decoded:
         image = np.ascontiguousarray(
             np.rot90(bgr(self._picture, *self._before_turns(size)), self._turns)
         )
-        self._image = image if size is None else self._image
+        if size is None:
+            self._image = image
+        else:
+            self._image = self._image
         return image
 
     def planes(self, size: tuple[int, int] | None = None) -> Image:
@@ -474,7 +527,10 @@ class Decoded:
             return ready[1]
         picture = self._picture
         wide, high = self._before_turns(size)
-        full = "JPEG" if picture.color_range == _FULL_RANGE else None
+        if picture.color_range == _FULL_RANGE:
+            full = "JPEG"
+        else:
+            full = None
         if (
             (wide, high) != (picture.width, picture.height)
             or picture.format.name != "yuv420p"
@@ -505,7 +561,9 @@ class Decoded:
     def _before_turns(self, size: tuple[int, int] | None) -> tuple[int, int]:
         """Width and height of what is turned to have this size."""
         wide, high = size or self.size
-        return (high, wide) if self._turns % 2 else (wide, high)
+        if self._turns % 2:
+            return (high, wide)
+        return (wide, high)
 
 
 def endless(path: str) -> bool:

@@ -80,13 +80,19 @@ class VideoWriter:
         self._path = Path(path)
         self._width = width
         self._height = height
-        self._grown = self._path if fragmented else part_of(self._path)
+        if fragmented:
+            self._grown = self._path
+        else:
+            self._grown = part_of(self._path)
         rate = Fraction(fps).limit_denominator(_LARGEST_DENOMINATOR)
         padded = (width + width % 2, height + height % 2)
         name = _working_encoder(*padded, rate)
         options = dict[str, str]()
         if name == "libx264":
-            threads = 1 + (width * height > _LARGE) if fast else _THREADS
+            if fast:
+                threads = 1 + (width * height > _LARGE)
+            else:
+                threads = _THREADS
             options = {"crf": str(quality), "preset": "ultrafast" if fast else "veryfast"}
             options["x264-params"] = f"threads={threads}:sliced-threads=0:mbtree=0" + _FAST * fast
         try:
@@ -127,16 +133,19 @@ class VideoWriter:
             raise InputError(problem, where=f"{self._path}, frame {self.frames + 1}")
         if not self._open:
             raise InputError("this video is closed already", where=self._path)
-        odd = (0, 0) if planes else (self._height % 2, self._width % 2)
-        padded = (
-            np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge")
-            if any(odd)
-            else np.ascontiguousarray(image)
-        )
+        if planes:
+            odd = (0, 0)
+        else:
+            odd = (self._height % 2, self._width % 2)
+        if any(odd):
+            padded = np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge")
+        else:
+            padded = np.ascontiguousarray(image)
         picture = av.VideoFrame.from_numpy_buffer(padded, format="yuv420p" if planes else "bgr24")
-        self._stamp = (
-            self._stamp + 1 if math.isnan(at) else max(self._stamp + 1, round(at * self._fps))
-        )
+        if math.isnan(at):
+            self._stamp = self._stamp + 1
+        else:
+            self._stamp = max(self._stamp + 1, round(at * self._fps))
         picture.pts = self._stamp
         picture.time_base = 1 / self._stream.codec_context.framerate
         with self._checked():
