@@ -124,7 +124,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"The machine was busy (load {busy:.1f} at the start): times mean little, ratios more."
         )
     print(
-        f"{given.out}: {scale.name}, {time.perf_counter() - began:.0f} s; limits not kept: {len(broken)}"
+        f"{given.out}: {scale.name}, {time.perf_counter() - began:.0f} s; limits not kept:"
+        f" {len(broken)}"
     )
     for what in broken:
         print(f"  {what}")

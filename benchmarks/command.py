@@ -298,7 +298,10 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
                 other = plain(video, "-" if kind == "--no-video" else str(out))
                 entry[f"{name} {kind}"] = {"phdtrack": mine, "plain loop": other}
                 note = f"plain loop {other['fps']:.0f}, ratio {mine['fps'] / other['fps']:.2f}; "
-                note += f"{1e3 * mine['cpu'] / mine['frames']:.1f} ms of processor a frame, {mine['wall']:.1f} s in all"
+                note += (
+                    f"{1e3 * mine['cpu'] / mine['frames']:.1f} ms of processor a frame,"
+                    f" {mine['wall']:.1f} s in all"
+                )
                 rows.append(
                     Row(
                         f"phdtrack track, {name}, {kind}",

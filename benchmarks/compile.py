@@ -153,10 +153,12 @@ def main() -> None:
     for name, seconds in sorted(found["kernels"].items(), key=lambda pair: -pair[1]):
         print(f"{seconds:8.2f} s  {name}")
     print(
-        f"{found['compile_s']:8.2f} s  these {len(found['kernels'])}, each without those that it calls"
+        f"{found['compile_s']:8.2f} s  these {len(found['kernels'])}, each without those that it"
+        " calls"
     )
     print(
-        f"first frame after {found['first_use_s']:.1f} s on first use, {found['start_s']:.2f} s from then on"
+        f"first frame after {found['first_use_s']:.1f} s on first use, {found['start_s']:.2f} s"
+        " from then on"
     )
 
 

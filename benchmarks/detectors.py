@@ -79,7 +79,10 @@ def main() -> None:
         for detector in DETECTORS:
             found = measure(size, detector, frames=10 if detector in LEARNING else 60)
             spread = found["spread"]
-            middle = f"{found['ms']:9.2f} ms  [{spread['low']:.2f}, {spread['high']:.2f}], least {spread['least']:.2f}"
+            middle = (
+                f"{found['ms']:9.2f} ms  [{spread['low']:.2f}, {spread['high']:.2f}], least"
+                f" {spread['least']:.2f}"
+            )
             print(f"{name:8} {detector:16}{middle}  {found['detections']:.1f} boxes", flush=True)
 
 

@@ -25,7 +25,8 @@ def asked(what: str, number: int) -> dict[str, Any]:
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=root)
     if done.returncode:
         raise RuntimeError(
-            f"memory_process {what} ended with: {(done.stderr.strip().splitlines() or ['no word'])[-1]}"
+            f"memory_process {what} ended with:"
+            f" {(done.stderr.strip().splitlines() or ['no word'])[-1]}"
         )
     result: dict[str, Any] = json.loads(done.stdout)
     return result
@@ -47,7 +48,10 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
             top["filter"],
             "bytes/particle",
             most=64.0,
-            note=f"{top['particles']:,} particles old and newborn; with extraction {top['filter_and_extraction']:.1f}",
+            note=(
+                f"{top['particles']:,} particles old and newborn; with extraction"
+                f" {top['filter_and_extraction']:.1f}"
+            ),
         ),
         Row("peak of the process", top["peak"] / 2**20, "MiB"),
     ]

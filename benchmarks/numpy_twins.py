@@ -56,7 +56,10 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
             )
             spread = Spread.of(lap.total, 1e3)
             mine = Spread.of(ours.total, 1e3)
-            note = f"OSPA {np.nanmean(lap.ospa):.1f} px, ours {np.nanmean(ours.ospa):.1f} px in {mine.median:.3g} ms"
+            note = (
+                f"OSPA {np.nanmean(lap.ospa):.1f} px, ours {np.nanmean(ours.ospa):.1f} px in"
+                f" {mine.median:.3g} ms"
+            )
             rows.append(
                 Row(
                     f"{name} NumPy, {targets} targets",

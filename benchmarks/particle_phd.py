@@ -194,7 +194,10 @@ def _threads(scale: Scale, say: Callable[[str], None]) -> tuple[dict[str, Any], 
             ratio,
             "×",
             least=1.5,
-            note=f"filter alone {alone:.2f} ×; {'same' if same else 'DIFFERENT'} particles; {cores} cores, not idle perhaps",
+            note=(
+                f"filter alone {alone:.2f} ×; {'same' if same else 'DIFFERENT'} particles; {cores}"
+                " cores, not idle perhaps"
+            ),
         ),
     ]
     entry = {

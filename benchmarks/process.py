@@ -87,7 +87,8 @@ def main() -> None:
         whole = found["frames_per_second"]
         without = found["without_start"]
         print(
-            f"{detector:16}{whole:7.1f} fps, without start and report {without:.1f} fps ({stages} ms)",
+            f"{detector:16}{whole:7.1f} fps, without start and report {without:.1f} fps"
+            f" ({stages} ms)",
             flush=True,
         )
 

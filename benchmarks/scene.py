@@ -83,7 +83,10 @@ def _measured(name: str, stream: Stream, repeats: int) -> Iterator[tuple[Row, di
     for places, frame, alone in zip(CASES, whole[1:], step[1:], strict=True):
         ratio = float(frame.sum() / whole[0].sum())
         of_step = float(alone.sum() / step[0].sum())
-        note = f"uniform {1e3 * whole[0].mean():.3g} ms; the filter alone {of_step:.2f} × {1e3 * step[0].mean():.3g} ms"
+        note = (
+            f"uniform {1e3 * whole[0].mean():.3g} ms; the filter alone {of_step:.2f} ×"
+            f" {1e3 * step[0].mean():.3g} ms"
+        )
         row = Row(
             f"{name}, {places.name}", ratio, "×", Spread.of(frame / whole[0]), LIMIT, note=note
         )

@@ -208,7 +208,10 @@ def _compared(
     note = (
         f"OSPA {ospa['stonesoup']:.2f} px, ours {ospa['phdtrack']:.2f} px in {mine.median:.3g} ms"
     )
-    note += f"; targets too many {np.mean(theirs.count):+.2f}, ours {np.mean(ours.count):+.2f}; {len(theirs.total)} frames"
+    note += (
+        f"; targets too many {np.mean(theirs.count):+.2f}, ours {np.mean(ours.count):+.2f};"
+        f" {len(theirs.total)} frames"
+    )
     most = 0.0 if math.isnan(error) else 2 * error
     rows = [
         Row(

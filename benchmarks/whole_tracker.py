@@ -261,7 +261,10 @@ def _rows(case: str, results: dict[str, dict[str, dict[str, Any]]]) -> list[Row]
         errors = ", ".join(f"{result[name]:.0f} {words}" for name, words in ERRORS.items())
         note = f"MOTA {result['MOTA']:.3f} ({errors}), IDF1 {result['IDF1']:.3f}"
         if who == "phdtrack":
-            note += f"; MOTA of confirmed rows alone {result['MOTA_confirmed']:.3f}, corrected {result['MOTA_corrected']:.3f}"
+            note += (
+                f"; MOTA of confirmed rows alone {result['MOTA_confirmed']:.3f}, corrected"
+                f" {result['MOTA_corrected']:.3f}"
+            )
         else:
             note += f"; {json.dumps(result['settings'])}"
         most = LIMIT_MS.get(case) if who == "phdtrack" else None

@@ -49,7 +49,8 @@ EXPERIMENTS = {
     "blobs": Experiment("merged and split blobs: with and without a model of merged measurements"),
     "m07": Experiment("M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
     "m09": Experiment(
-        "M09 Figs. 14-16: the paper's own method, births and false alarms learned, by number of marks"
+        "M09 Figs. 14-16: the paper's own method, births and false alarms learned, by number of"
+        " marks"
     ),
     "scenes": Experiment(
         "learned scenes laid over the default filter's births and false alarms, part by part"

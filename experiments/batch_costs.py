@@ -142,7 +142,8 @@ def main() -> None:
             ("video", "detections"), sources(folder / "middle", MIDDLE), strict=True
         ):
             print(
-                f"{kind:12} {'work per core of two processes: CPU, clock':52} {per_core(one, folder / ('two' + kind)):>8}"
+                f"{kind:12} {'work per core of two processes: CPU, clock':52}"
+                f" {per_core(one, folder / ('two' + kind)):>8}"
             )
         again = done(short[1], folder / "video" / "one", folder / "done")
         print(f"{'':12} {'a video that is done, CPU ms':52} {again:8.2f}")

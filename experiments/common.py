@@ -323,8 +323,8 @@ def write(name: str, options: Options, **values: object) -> Path:
     text = filled(name, **values)
     if options.quick:
         text = (
-            "*The short form of an experiment: everything ran, but these figures are no results.*\n\n"
-            + text
+            "*The short form of an experiment: everything ran, but these figures are no"
+            " results.*\n\n" + text
         )
     runs = f" --runs {options.runs}" if options.runs else ""
     command = f"python -m experiments {options.name or name}{runs}"

@@ -705,9 +705,9 @@ def _xml() -> tuple[list[bytes], Try]:
     from phdtrack.ground import read_camera
 
     boxes = "".join(
-        f'<frame number="{f}"><objectlist><object id="{f % 3}"><box xc="{50 + f}" yc="60" w="20" h="40"/></object>'
-        "</objectlist>"
-        '<grouplist><group id="9"><box xc="50" yc="60" w="20" h="40"/></group></grouplist></frame>\n'
+        f'<frame number="{f}"><objectlist><object id="{f % 3}"><box xc="{50 + f}" yc="60" w="20"'
+        ' h="40"/></object></objectlist><grouplist><group id="9"><box xc="50" yc="60" w="20"'
+        ' h="40"/></group></grouplist></frame>\n'
         for f in range(4)
     )
     cvml = f'<?xml version="1.0" encoding="UTF-8"?>\n<dataset name="a">{boxes}</dataset>\n'
@@ -748,7 +748,10 @@ def _cameras() -> tuple[list[bytes], Try]:
         "dist": [[-0.2, 0.1, 0, 0, 0]],
         "rvec": [1.9, 0.1, 0.2],
     }
-    toml = f'homography = {matrix}\nmaps = "pixel-to-ground"\npixel = "xy"\nunit = "cm"\ninside = [300, 400]\n'
+    toml = (
+        f'homography = {matrix}\nmaps = "pixel-to-ground"\npixel = "xy"\nunit = "cm"\ninside ='
+        " [300, 400]\n"
+    )
     grid = (
         "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 2.5\nNODATA_value -9\n1 2 3\n4 5 -9\n"
     )
@@ -776,7 +779,10 @@ max_coast = 0.4
 each = ["car.sensor.box_noise=0.2"]
 together = [["car", "truck"]]
 """
-    other = '[filter]\nkind = "gm-phd"\n[birth]\nbirths_per_detection = 0.1\n[motion]\nacceleration = 0.1\n'
+    other = (
+        '[filter]\nkind = "gm-phd"\n[birth]\nbirths_per_detection = 0.1\n[motion]\nacceleration ='
+        " 0.1\n"
+    )
     return reading([(text, load), (other, load)], ".toml")
 
 

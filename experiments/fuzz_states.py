@@ -516,7 +516,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     took = f"{total.inputs} inputs in {total.seconds / 60:.1f} minutes"
     print(
-        f"{took}: {total.accepted} accepted, {total.refused} refused, {len(total.findings)} findings"
+        f"{took}: {total.accepted} accepted, {total.refused} refused, {len(total.findings)}"
+        " findings"
     )
     for one in total.findings.values():
         print(f"  {one.kind} {one.what} ({one.times} times; {one.file})")

@@ -136,7 +136,8 @@ def _labels(z: F8) -> I8:
     label: I8 = z[-1].astype(np.int64)
     if (label != z[-1]).any() or len(np.unique(label)) < len(label) or (label < 0).any():
         raise InputError(
-            f"expected in the last row of z one target's label each, whole numbers from 0, got {z[-1].tolist()}"
+            "expected in the last row of z one target's label each, whole numbers from 0, got"
+            f" {z[-1].tolist()}"
         )
     return label
 

@@ -112,7 +112,8 @@ def ended(
         if not strike or run.returncode not in (-number, 128 + number):
             came["failed"] += 1
             print(
-                f"status {run.returncode} after {signal.Signals(number).name}: {said.decode()[-2000:]}",
+                f"status {run.returncode} after {signal.Signals(number).name}:"
+                f" {said.decode()[-2000:]}",
                 flush=True,
             )
             break

@@ -104,7 +104,10 @@ def record(folder: Path, page: str, command: str, modules: Iterable[str]) -> str
     entries[page] = {"command": command, "commit": commit(), "code": code}
     file.write_text(json.dumps(entries, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     settings = hashlib.sha256("".join(code[one] for one in SETTINGS).encode()).hexdigest()[:8]
-    return f"\nMade by `{command}` at commit {entries[page]['commit']}, presets and kinds of settings {settings}.\n"
+    return (
+        f"\nMade by `{command}` at commit {entries[page]['commit']}, presets and kinds of settings"
+        f" {settings}.\n"
+    )
 
 
 def stale(folder: Path) -> dict[str, list[str]]:
@@ -139,7 +142,8 @@ def check(folder: Path) -> int:
             print(f"{page}.md is older than {few}: {entries[page]['command']}")
         else:
             print(
-                f"{page}.md does not say what it was made by: python -m experiments --list has the commands"
+                f"{page}.md does not say what it was made by: python -m experiments --list has the"
+                " commands"
             )
     for page, command in BY_HAND.items():
         print(f"{page}.md is written by hand from what {command} prints, and not checked")

@@ -124,7 +124,8 @@ class Watching:
             self._fresh.clear()
             last = self.hours[-1]
             print(
-                f"hour {last.hour:g}: {last.memory:.1f} MB, {cpu / fresh:.2f} of a fresh tracker, {wall:.0f} s",
+                f"hour {last.hour:g}: {last.memory:.1f} MB, {cpu / fresh:.2f} of a fresh tracker,"
+                f" {wall:.0f} s",
                 flush=True,
             )
 

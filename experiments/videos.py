@@ -80,7 +80,9 @@ main()"""
 # Parts of the change detector that are left out in turn, and what the page calls them.
 PARTS = {
     "file": "all that samples of the whole file teach: reference, modes, heights",
-    "hidden": "the rule for places that objects hide most of the time: their noise is that around them",
+    "hidden": (
+        "the rule for places that objects hide most of the time: their noise is that around them"
+    ),
     "modes": "modes: what was seen at a pixel, or near it, in other samples",
     "heights": "heights of objects by place",
     "join": "joining of fragments",

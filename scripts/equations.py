@@ -21,42 +21,130 @@ SOURCES = ROOT / "src" / "phdtrack"
 PAGE = ROOT / "docs" / "equations.md"
 
 PAPERS = {
-    "M07": "Maggio, Piccardo, Regazzoni, Cavallaro: Particle PHD filtering for multi-target visual tracking. ICASSP 2007",
-    "M09": "Maggio, Cavallaro: Learning scene context for multiple object tracking. IEEE Trans. Image Processing, 2009",
-    "E13": "Edman, Andersson, Jamrog, Gustafsson: Pedestrian group tracking using the GM-PHD filter. EUSIPCO 2013",
-    "D14": "Daniyan: Performance analysis of sequential Monte Carlo MCMC and PHD filters on multi-target tracking in video",
-    "S05": "Shafique, Shah: A noniterative greedy algorithm for multiframe point correspondence. IEEE Trans. PAMI, 2005",
-    "V06": "Vo, Ma: The Gaussian mixture probability hypothesis density filter. IEEE Trans. Signal Processing, 2006",
-    "V05": "Vo, Singh, Doucet: Sequential Monte Carlo methods for multi-target filtering with random finite sets. 2005",
-    "V07": "Vo, Vo, Cantoni: Analytic implementations of the cardinalized PHD filter. IEEE Trans. Signal Processing, 2007",
-    "K05": "Khan, Balch, Dellaert: MCMC-based particle filtering for tracking interacting targets. IEEE Trans. PAMI, 2005",
-    "G93": "Gordon, Salmond, Smith: Novel approach to nonlinear/non-Gaussian Bayesian state estimation. IEE Proc. F, 1993",
-    "R65": "Rauch, Tung, Striebel: Maximum likelihood estimates of linear dynamic systems. AIAA Journal, 1965",
+    "M07": (
+        "Maggio, Piccardo, Regazzoni, Cavallaro: Particle PHD filtering for multi-target visual"
+        " tracking. ICASSP 2007"
+    ),
+    "M09": (
+        "Maggio, Cavallaro: Learning scene context for multiple object tracking. IEEE Trans. Image"
+        " Processing, 2009"
+    ),
+    "E13": (
+        "Edman, Andersson, Jamrog, Gustafsson: Pedestrian group tracking using the GM-PHD filter."
+        " EUSIPCO 2013"
+    ),
+    "D14": (
+        "Daniyan: Performance analysis of sequential Monte Carlo MCMC and PHD filters on"
+        " multi-target tracking in video"
+    ),
+    "S05": (
+        "Shafique, Shah: A noniterative greedy algorithm for multiframe point correspondence. IEEE"
+        " Trans. PAMI, 2005"
+    ),
+    "V06": (
+        "Vo, Ma: The Gaussian mixture probability hypothesis density filter. IEEE Trans. Signal"
+        " Processing, 2006"
+    ),
+    "V05": (
+        "Vo, Singh, Doucet: Sequential Monte Carlo methods for multi-target filtering with random"
+        " finite sets. 2005"
+    ),
+    "V07": (
+        "Vo, Vo, Cantoni: Analytic implementations of the cardinalized PHD filter. IEEE Trans."
+        " Signal Processing, 2007"
+    ),
+    "K05": (
+        "Khan, Balch, Dellaert: MCMC-based particle filtering for tracking interacting targets."
+        " IEEE Trans. PAMI, 2005"
+    ),
+    "G93": (
+        "Gordon, Salmond, Smith: Novel approach to nonlinear/non-Gaussian Bayesian state"
+        " estimation. IEE Proc. F, 1993"
+    ),
+    "R65": (
+        "Rauch, Tung, Striebel: Maximum likelihood estimates of linear dynamic systems. AIAA"
+        " Journal, 1965"
+    ),
     "R79": "Reid: An algorithm for tracking multiple targets. IEEE Trans. Automatic Control, 1979",
-    "C96": "Cox, Hingorani: An efficient implementation of Reid's multiple hypothesis tracking algorithm. IEEE PAMI, 1996",
-    "W15": "Williams: Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA, and association-based MeMBer. "
-    "IEEE Trans. AES, 2015",
-    "G18": "García-Fernández, Williams, Granström, Svensson: Poisson multi-Bernoulli mixture filter: direct derivation and "
-    "implementation. IEEE Trans. AES, 2018",
-    "T20": "García-Fernández, Svensson, Williams, Xia, Granström: Trajectory Poisson multi-Bernoulli filters. 2020",
-    "W14": "Williams, Lau: Approximate evaluation of marginal association probabilities with belief propagation. "
-    "IEEE Trans. AES, 2014",
-    "C04": "Cavallaro, Ebrahimi: Interaction between high-level and low-level image analysis for video objects. 2004",
-    "Z04": "Zivkovic, van der Heijden: Recursive unsupervised learning of finite mixture models. IEEE Trans. PAMI, 2004",
+    "C96": (
+        "Cox, Hingorani: An efficient implementation of Reid's multiple hypothesis tracking"
+        " algorithm. IEEE PAMI, 1996"
+    ),
+    "W15": (
+        "Williams: Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA, and"
+        " association-based MeMBer. IEEE Trans. AES, 2015"
+    ),
+    "G18": (
+        "García-Fernández, Williams, Granström, Svensson: Poisson multi-Bernoulli mixture filter:"
+        " direct derivation and implementation. IEEE Trans. AES, 2018"
+    ),
+    "T20": (
+        "García-Fernández, Svensson, Williams, Xia, Granström: Trajectory Poisson multi-Bernoulli"
+        " filters. 2020"
+    ),
+    "W14": (
+        "Williams, Lau: Approximate evaluation of marginal association probabilities with belief"
+        " propagation. IEEE Trans. AES, 2014"
+    ),
+    "C04": (
+        "Cavallaro, Ebrahimi: Interaction between high-level and low-level image analysis for video"
+        " objects. 2004"
+    ),
+    "Z04": (
+        "Zivkovic, van der Heijden: Recursive unsupervised learning of finite mixture models. IEEE"
+        " Trans. PAMI, 2004"
+    ),
     "S78": "Schwarz: Estimating the dimension of a model. Annals of Statistics, 1978",
-    "B94": "Bedrick, Tsai: Model selection for multivariate regression in small samples. Biometrics, 1994",
-    "G13": "Gelman, Carlin, Stern, Dunson, Vehtari, Rubin: Bayesian data analysis, third edition. 2013",
-    "B08": "Bernardin, Stiefelhagen: Evaluating multiple object tracking performance: the CLEAR MOT metrics. 2008",
-    "L20": "Luiten et al.: HOTA: a higher order metric for evaluating multi-object tracking. IJCV, 2020",
-    "R16": "Ristani et al.: Performance measures and a data set for multi-target, multi-camera tracking. ECCV, 2016",
-    "S08": "Schuhmacher, Vo, Vo: A consistent metric for performance evaluation of multi-object filters. IEEE TSP, 2008",
-    "K09": "Kasturi et al.: Framework for performance evaluation of face, text, and vehicle detection. PAMI 2009",
-    "B17": "Beard, Vo, Vo: OSPA(2): Using the OSPA metric to evaluate multi-target tracking performance. ICCAIS 2017",
-    "B20": "Beard, Vo, Vo: A solution for large-scale multi-object tracking. IEEE Trans. Signal Processing, 2020",
-    "G20": "García-Fernández, Rahmathullah, Svensson: A metric on the space of finite sets of trajectories. IEEE TSP, 2020",
-    "G17": "Rahmathullah, García-Fernández, Svensson: Generalized optimal sub-pattern assignment metric. FUSION 2017",
-    "WH97": "West, Harrison: Bayesian forecasting and dynamic models, second edition. Springer, 1997",
-    "B01": "Bar-Shalom, Li, Kirubarajan: Estimation with applications to tracking and navigation. Wiley, 2001",
+    "B94": (
+        "Bedrick, Tsai: Model selection for multivariate regression in small samples. Biometrics,"
+        " 1994"
+    ),
+    "G13": (
+        "Gelman, Carlin, Stern, Dunson, Vehtari, Rubin: Bayesian data analysis, third edition. 2013"
+    ),
+    "B08": (
+        "Bernardin, Stiefelhagen: Evaluating multiple object tracking performance: the CLEAR MOT"
+        " metrics. 2008"
+    ),
+    "L20": (
+        "Luiten et al.: HOTA: a higher order metric for evaluating multi-object tracking. IJCV,"
+        " 2020"
+    ),
+    "R16": (
+        "Ristani et al.: Performance measures and a data set for multi-target, multi-camera"
+        " tracking. ECCV, 2016"
+    ),
+    "S08": (
+        "Schuhmacher, Vo, Vo: A consistent metric for performance evaluation of multi-object"
+        " filters. IEEE TSP, 2008"
+    ),
+    "K09": (
+        "Kasturi et al.: Framework for performance evaluation of face, text, and vehicle detection."
+        " PAMI 2009"
+    ),
+    "B17": (
+        "Beard, Vo, Vo: OSPA(2): Using the OSPA metric to evaluate multi-target tracking"
+        " performance. ICCAIS 2017"
+    ),
+    "B20": (
+        "Beard, Vo, Vo: A solution for large-scale multi-object tracking. IEEE Trans. Signal"
+        " Processing, 2020"
+    ),
+    "G20": (
+        "García-Fernández, Rahmathullah, Svensson: A metric on the space of finite sets of"
+        " trajectories. IEEE TSP, 2020"
+    ),
+    "G17": (
+        "Rahmathullah, García-Fernández, Svensson: Generalized optimal sub-pattern assignment"
+        " metric. FUSION 2017"
+    ),
+    "WH97": (
+        "West, Harrison: Bayesian forecasting and dynamic models, second edition. Springer, 1997"
+    ),
+    "B01": (
+        "Bar-Shalom, Li, Kirubarajan: Estimation with applications to tracking and navigation."
+        " Wiley, 2001"
+    ),
 }
 Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 BRACKET = re.compile(r"\[([A-Z]\d{2}(?![\w])[^\[\]]*)\](?!\()")
@@ -157,7 +245,8 @@ def page_text(found: list[Entry], root: Path = ROOT, page: Path = PAGE) -> str:
 def unknown(found: list[Entry]) -> list[str]:
     """One sentence for each tag whose paper is not known."""
     return [
-        f"{e.path.relative_to(ROOT)}, {e.owner}: no paper has the tag {e.paper}; add it to PAPERS in scripts/equations.py"
+        f"{e.path.relative_to(ROOT)}, {e.owner}: no paper has the tag {e.paper}; add it to PAPERS"
+        " in scripts/equations.py"
         for e in found
         if e.paper not in PAPERS
     ]

@@ -42,7 +42,8 @@ def faults(page: Page, impacts: tuple[str, ...] = ("serious", "critical")) -> li
     found = page.evaluate("axe.run()")
     assert found["passes"], "axe-core found nothing to look at"
     return [
-        f"{one['id']} ({one['impact']}): {one['help']}: {node['html'][:120]} {node['failureSummary']}"
+        f"{one['id']} ({one['impact']}): {one['help']}: {node['html'][:120]}"
+        f" {node['failureSummary']}"
         for one in found["violations"]
         if one["impact"] in impacts
         for node in one["nodes"]

@@ -46,7 +46,8 @@ def data() -> Path:
     folder = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
     if not (folder / "mot15").is_dir():
         pytest.skip(
-            f"the real sequences are not at {folder}; set PHDTRACK_DATA to the folder that holds mot15/"
+            f"the real sequences are not at {folder}; set PHDTRACK_DATA to the folder that holds"
+            " mot15/"
         )
     return folder
 

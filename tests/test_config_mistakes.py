@@ -37,7 +37,10 @@ MISTAKES = [
     ("filter.max_hypotheses=0", "greater than or equal to 1"),
     (
         "filter.particles_per_target=500",
-        "It goes with filter.kind=particle-phd or particle-cphd; here there are existence_threshold",
+        (
+            "It goes with filter.kind=particle-phd or particle-cphd; here there are"
+            " existence_threshold"
+        ),
     ),
     ("clutter.clutter_per_frame=-1", "greater than or equal to 0"),
     ("time.units_per_second=0", "greater than 0"),

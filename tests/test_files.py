@@ -142,7 +142,10 @@ def test_a_sentence_with_the_place(
 @pytest.mark.parametrize("distortion", [1e300, 4.9e-324])
 def test_lenses_beyond_all_numbers(tmp_path: Path, distortion: float) -> None:
     """What is next to nothing bends nothing."""
-    text = f"camera_matrix = [[800, 0, 320], [0, 800, 240], [0, 0, 1]]\ndistortion_coefficients = [{distortion}, 0.1, 0, 0]\n"
+    text = (
+        "camera_matrix = [[800, 0, 320], [0, 800, 240], [0, 0, 1]]\ndistortion_coefficients ="
+        f" [{distortion}, 0.1, 0, 0]\n"
+    )
     path = put(tmp_path, (text + "rvec = [1.9, 0.1, 0.2]\ntvec = [0, 0, 9]\n").encode())
     if distortion < 1:
         read_camera(path)

@@ -55,12 +55,11 @@ def made(draw: random.Random) -> bytes:
 
 def test_exceptions_crashes_and_hangs_are_found_and_the_rest_is_read(tmp_path: Path) -> None:
     program = (
-        "from pathlib import Path\n"
-        "from experiments import fuzz\n"
-        "from experiments.tests.test_fuzz import bad, made\n"
-        "limits = fuzz.Limits(5.0)\n"
-        f"report = fuzz.campaign('bad', made, bad, inputs=12, seed=3, limits=limits, kept=Path({str(tmp_path)!r}))\n"
-        f"fuzz.write(Path({str(tmp_path / 'bad.json')!r}), report)\n"
+        "from pathlib import Path\nfrom experiments import fuzz\nfrom experiments.tests.test_fuzz"
+        " import bad, made\nlimits = fuzz.Limits(5.0)\nreport = fuzz.campaign('bad', made, bad,"
+        " inputs=12, seed=3, limits=limits,"
+        f" kept=Path({str(tmp_path)!r}))\nfuzz.write(Path({str(tmp_path / 'bad.json')!r}),"
+        " report)\n"
     )
     subprocess.run([sys.executable, "-c", program], cwd=fuzz.ROOT, check=True)
     report = fuzz.Report.of(tmp_path / "bad.json", "bad", 3, fuzz.Limits(5.0))

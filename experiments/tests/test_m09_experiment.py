@@ -231,9 +231,11 @@ def rate_and_kind(part: Birth | Clutter) -> tuple[type, float, object]:
         return (
             type(part),
             _rate(part),
-            part.births_per_detection
-            if isinstance(part, SceneBirth)
-            else part.clutter_per_detection,
+            (
+                part.births_per_detection
+                if isinstance(part, SceneBirth)
+                else part.clutter_per_detection
+            ),
         )
     around = (
         "local" if isinstance(part, MeasurementBirth) and part.births_per_detection else "image"

@@ -51,7 +51,10 @@ def part_of(path: Path) -> Path:
 def refuse_part(path: AnyPath) -> None:
     """Raise `InputError` where the name says that the file is not complete."""
     if str(path).endswith(PART):
-        cure = "Wait until the run that writes it has ended; if it was killed, run it again with --resume."
+        cure = (
+            "Wait until the run that writes it has ended; if it was killed, run it again with"
+            " --resume."
+        )
         raise InputError("this file is not complete", where=Path(path), cure=cure)
 
 
@@ -305,7 +308,10 @@ class Element:
         name = next((name for name in names if name in self.attributes), "")
         problem = f"expected <{self.name}> with a value for {' or '.join(names)}, came one without"
         if name:
-            problem = f"expected a finite number for {name} of <{self.name}>, came '{self.attributes[name]}'"
+            problem = (
+                f"expected a finite number for {name} of <{self.name}>, came"
+                f" '{self.attributes[name]}'"
+            )
             with suppress(ValueError):
                 value = float(self.attributes[name])
                 if math.isfinite(value):

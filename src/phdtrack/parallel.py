@@ -93,7 +93,10 @@ def on_ray(
         ray.init(address=address, log_to_driver=False, configure_logging=False)
     except (ConnectionError, OSError, RuntimeError, ValueError) as error:
         first = str(error).partition("\n")[0]
-        cure = "Start one (`ray start --head`), or say --address HOST:PORT, or local for one on this machine."
+        cure = (
+            "Start one (`ray start --head`), or say --address HOST:PORT, or local for one on this"
+            " machine."
+        )
         raise InputError(
             f"no Ray cluster can be reached ({first})", where=f"--address {address}", cure=cure
         ) from error

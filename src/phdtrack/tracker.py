@@ -265,8 +265,9 @@ class Tracker:
         if self._forgets and time - self._begun > HISTORY and self._lanes.oldest > self._first:
             self._forgets = False
             _LOG.warning(
-                "what is older than some %g minutes is forgotten from now on, so that memory stays bounded: tracks() goes "
-                "no further back. FinalTracks gives corrected rows as they become final; associate={'history': 0} keeps all",
+                "what is older than some %g minutes is forgotten from now on, so that memory stays"
+                " bounded: tracks() goes no further back. FinalTracks gives corrected rows as they"
+                " become final; associate={'history': 0} keeps all",
                 HISTORY / 60,
             )
 
@@ -346,7 +347,10 @@ class Tracker:
 
         form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
         if isinstance(form, int) and form != FORMAT:
-            problem = f"this state is of format {form}, and this version of phdtrack reads format {FORMAT}"
+            problem = (
+                f"this state is of format {form}, and this version of phdtrack reads format"
+                f" {FORMAT}"
+            )
             cure = "Load it with the version that saved it, or begin anew"
             raise InputError(problem, where="load_state_dict", cure=cure)
         if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != _SAVED:

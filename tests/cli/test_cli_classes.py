@@ -56,7 +56,8 @@ def test_settings_of_one_class_are_printed_and_read_back(crossing: Path, tmp_pat
         in phdtrack(*run, tmp_path / "a", "--set", "classes.car.min_score=0.95").out
     )
     file.write_text(
-        '[classes]\nonly = ["car"]\n[classes.car]\nmin_size = 41\n[classes.truck.sensor]\nbox_noise = 0.1\n'
+        '[classes]\nonly = ["car"]\n[classes.car]\nmin_size = 41\n[classes.truck.sensor]\nbox_noise'
+        " = 0.1\n"
     )
     printed.write_text(phdtrack("settings", "--config", file, "--all").out)
     for one in (file, printed):

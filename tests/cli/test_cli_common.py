@@ -242,12 +242,16 @@ def test_tracking_detections_loads_what_it_needs(tmp_path: Path) -> None:
     # the first frame.
     assert {"matplotlib", "av", "rich", "phdtrack.metrics", "pyarrow", *NEVER}.isdisjoint(begun)
     table = walkers(tmp_path / "walkers", frames=8) / "det" / "det.txt"
-    program = "from phdtrack.cli.app import main\ntry:\n    main()\nfinally:\n    print(*sys.modules, sep='\\n')"
+    program = (
+        "from phdtrack.cli.app import main\ntry:\n    main()\nfinally:\n    print(*sys.modules,"
+        " sep='\\n')"
+    )
     done = modules(program, "track", "--detections", table, "--out", tmp_path / "run", "--json")
     assert {"phdtrack.filters", "phdtrack.report.pages"} <= set(done)
     # What the report and the joining of tracks need is loaded beside the tracking.
     late = modules(
-        "import scipy.optimize, scipy.sparse.csgraph, matplotlib.figure\nprint(*sys.modules, sep='\\n')"
+        "import scipy.optimize, scipy.sparse.csgraph, matplotlib.figure\nprint(*sys.modules,"
+        " sep='\\n')"
     )
     assert {"phdtrack.metrics", *(NEVER - {*late})}.isdisjoint(done)
 

@@ -18,7 +18,10 @@ from phdtrack.types import Detections, Step
 from phdtrack.video import VideoWriter, open_source
 
 # Ten pixels are a metre, x to the right and y up, the origin in the lower left corner.
-CAMERA = 'homography = [[0.1, 0.0, 0.0], [0.0, -0.1, 24.0], [0.0, 0.0, 1.0]]\nmaps = "pixel-to-ground"\nunit = "m"\n'
+CAMERA = (
+    "homography = [[0.1, 0.0, 0.0], [0.0, -0.1, 24.0], [0.0, 0.0, 1.0]]\nmaps ="
+    ' "pixel-to-ground"\nunit = "m"\n'
+)
 FRAMES = 40
 RATE = 10.0
 FILES = {name for name in rundir.RUN_FILES if not name.startswith("counts.")} - {

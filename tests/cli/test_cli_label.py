@@ -146,8 +146,8 @@ def test_what_comes_next_is_said_with_the_options_of_then(sequence, monkeypatch)
     command = re.search(r"^now run: (.*)$", out, re.MULTILINE)[1]
     assert command == answer["progress"]["next"]
     assert (
-        command
-        == "phdtrack learn street --mask mask.png --labels 'my marks.sqlite' --set detector.min_area=0.001"
+        command == "phdtrack learn street --mask mask.png --labels 'my marks.sqlite' --set"
+        " detector.min_area=0.001"
     )
     done = phdtrack(*shlex.split(command)[1:])
     assert "the detections are those of my marks." in done.err

@@ -223,8 +223,8 @@ def test_marks_that_lie_anywhere_teach_nothing_of_where(tmp_path):
     said = phdtrack(*options(tmp_path), "--out", tmp_path / "scene.json")
     assert said.status == 0, said.err
     assert (
-        "false alarms: 30 boxes marked by a person on 30 frames; nothing was learned of where, as no place"
-        in said.out
+        "false alarms: 30 boxes marked by a person on 30 frames; nothing was learned of where, as"
+        " no place" in said.out
     )
     page = (tmp_path / "scene.html").read_text()
     assert "False alarms: nothing learned of where from 30 samples." in page

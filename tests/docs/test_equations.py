@@ -42,8 +42,9 @@ def test_page_of_a_small_package(script: ModuleType, tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "__init__.py").write_text('"""A part."""\n')
     (folder / "motion.py").write_text(
-        '"""Motion."""\n\nclass Box:\n    """Boxes."""\n\n    def step(self):\n'
-        '        """One step | of\n        boxes [M09 (11)].\n\n        More, with [M09 (9)] and [M09 (11)] again."""\n'
+        '"""Motion."""\n\nclass Box:\n    """Boxes."""\n\n    def step(self):\n        """One step'
+        " | of\n        boxes [M09 (11)].\n\n        More, with [M09 (9)] and [M09 (11)]"
+        ' again."""\n'
     )
     found = list(script.entries(tmp_path / "src" / "phdtrack"))
     page = script.page_text(found, tmp_path, tmp_path / "docs" / "equations.md")

@@ -279,10 +279,9 @@ def test_a_tracker_and_one_update_load_little() -> None:
     have.
     """
     program = (
-        "import sys, numpy as np, phdtrack\n"
-        "tracker = phdtrack.Tracker((640, 480), fps=25)\n"
-        "tracker.update(np.array([[10.0, 10, 40, 90]]))\n"
-        "print(*(m.__file__ for n, m in sys.modules.items() if n.split('.')[0] == 'phdtrack'), sep='\\n')\n"
+        "import sys, numpy as np, phdtrack\ntracker = phdtrack.Tracker((640, 480),"
+        " fps=25)\ntracker.update(np.array([[10.0, 10, 40, 90]]))\nprint(*(m.__file__ for n, m in"
+        " sys.modules.items() if n.split('.')[0] == 'phdtrack'), sep='\\n')\n"
     )
     run = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True

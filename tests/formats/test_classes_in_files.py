@@ -52,7 +52,8 @@ def test_detections_and_tracks_come_back(
 def test_words_in_a_csv_file_types_of_kitti_and_categories_of_coco(tmp_path: Path) -> None:
     path = tmp_path / "d.csv"
     path.write_text(
-        "frame,class,x1,y1,x2,y2,score\n1,person,0,0,9,9,.5\n1,traffic light,0,0,9,9,.5\n2,car,1,1,9,9,.5\n"
+        "frame,class,x1,y1,x2,y2,score\n1,person,0,0,9,9,.5\n1,traffic"
+        " light,0,0,9,9,.5\n2,car,1,1,9,9,.5\n"
     )
     table = read_detections(path)
     assert table.names == {1: "car", 2: "person", 3: "traffic light"}

@@ -89,7 +89,10 @@ def test_a_track_ends_in_cvat_where_it_is_lost_and_images_have_no_identities(
     text = path.read_text()
     assert [part[:1] for part in text.split('outside="')[1:]] == ["0", "0", "1", "0", "1"]
     assert read_tracks(path).frame.tolist() == [1, 2, 5]
-    image = '<annotations><image id="3" name="a"><box label="car" xtl="1" ytl="2" xbr="3" ybr="4"/></image></annotations>'
+    image = (
+        '<annotations><image id="3" name="a"><box label="car" xtl="1" ytl="2" xbr="3"'
+        ' ybr="4"/></image></annotations>'
+    )
     path.write_text(image)
     found = read_detections(path)
     assert (found.frame.tolist(), found.names) == ([4], {1: "car"})
@@ -97,7 +100,8 @@ def test_a_track_ends_in_cvat_where_it_is_lost_and_images_have_no_identities(
     path.write_text('<annotations>\n<box xtl="1"/></annotations>')
     refused(read_detections, path, ", line 2", "inside of <track> or <image>")
     path.write_text(
-        '<annotations><track id="1">\n<box frame="0" xtl="a" ytl="2" xbr="3" ybr="4"/></track></annotations>'
+        '<annotations><track id="1">\n<box frame="0" xtl="a" ytl="2" xbr="3"'
+        ' ybr="4"/></track></annotations>'
     )
     refused(read_detections, path, ", line 2", "finite number for xtl")
 
@@ -155,9 +159,9 @@ def test_a_rerun_recording_has_boxes_trails_and_both_timelines(tmp_path: Path) -
         batch = chunk.to_record_batch()
         names = [name for name in batch.schema.names if name in ("frame", "time") or ":" in name]
         columns = {
-            name.rpartition(":")[2]: batch.column(name).cast("int64")
-            if name == "time"
-            else batch.column(name)
+            name.rpartition(":")[2]: (
+                batch.column(name).cast("int64") if name == "time" else batch.column(name)
+            )
             for name in names
         }
         rows = zip(*(column.to_pylist() for column in columns.values()), strict=True)

@@ -78,7 +78,10 @@ def test_a_frame_comes_when_a_row_of_the_next_has(tmp_path: Path) -> None:
     [
         (
             "1,-1,1,1,9,9,1\n3,-1,1,1,9,9,1\n2,-1,1,1,9,9,1\n",
-            "line 3: expected the rows of a stream in the order of their frames, came frame 2 after frame 3",
+            (
+                "line 3: expected the rows of a stream in the order of their frames, came frame 2"
+                " after frame 3"
+            ),
         ),
         ("1,-1,1,1,9,9,1\n2,-1,1,1,9,x,1\n", "line 2"),
         (HEADER + "1,1,1,9,9,1\n\n2,1,1,9,9\n", "line 4"),

@@ -77,7 +77,10 @@ def test_a_homography_in_text_by_every_convention(tmp_path: Path) -> None:
         path = put(tmp_path, "h.txt", f"# a camera\n{rows(matrix)}\n")
         form = MatrixForm(maps, vectors, pixel, unit)  # type: ignore[arg-type]
         same(read_camera(path, form), posed(OpenCVLens(MATRIX)))
-        said = f'file = "h.txt"\nmaps = "{maps}"\nvectors = "{vectors}"\npixel = "{pixel}"\nunit = "{unit}"\n'
+        said = (
+            f'file = "h.txt"\nmaps = "{maps}"\nvectors = "{vectors}"\npixel = "{pixel}"\nunit ='
+            f' "{unit}"\n'
+        )
         same(read_camera(put(tmp_path, "camera.toml", said)), posed(OpenCVLens(MATRIX)))
 
 
@@ -144,7 +147,10 @@ def test_described_in_toml_with_terrain(tmp_path: Path) -> None:
     ground = hills()
     x, y = ground.origin
     rows = "\n".join(" ".join(map(repr, row)) for row in ground.heights[::-1].tolist())
-    head = f"ncols {ground.heights.shape[1]}\nnrows {ground.heights.shape[0]}\nxllcenter {x}\nyllcenter {y}\n"
+    head = (
+        f"ncols {ground.heights.shape[1]}\nnrows {ground.heights.shape[0]}\nxllcenter"
+        f" {x}\nyllcenter {y}\n"
+    )
     put(tmp_path, "hills.asc", f"{head}cellsize {ground.step[0]}\n{rows}\n")
     path = put(tmp_path, "camera.toml", DESCRIBED + 'terrain = "hills.asc"\n')
     same(read_camera(path), posed(OpenCVLens(MATRIX, BARREL), ground))

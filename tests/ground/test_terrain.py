@@ -108,7 +108,10 @@ def test_a_camera_whose_world_points_down_sees_the_same(rng: np.random.Generator
 
 def test_files(tmp_path: Path) -> None:
     heights = np.arange(12.0).reshape(3, 4)
-    text = "ncols 4\nnrows 3\nxllcorner -2\nYLLCENTER 5\ncellsize 2\nNODATA_value -9999\n8 9 10 11\n4 -9999 6 7\n0 1 2 3\n"
+    text = (
+        "ncols 4\nnrows 3\nxllcorner -2\nYLLCENTER 5\ncellsize 2\nNODATA_value -9999\n8 9 10 11\n4"
+        " -9999 6 7\n0 1 2 3\n"
+    )
     (tmp_path / "a.asc").write_text(text)
     grid = read_terrain(tmp_path / "a.asc")
     assert (grid.origin.tolist(), grid.step.tolist()) == ([-1, 5], [2, 2])

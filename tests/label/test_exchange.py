@@ -172,7 +172,10 @@ def test_what_cannot_be_taken_is_refused_and_changes_nothing(tmp_path):
         ),
         ("7", "expected COCO .JSON. or CVAT .XML., came b'7'"),
         (
-            '<annotations><image id="1"><box xtl="1" ytl="1" xbr="x" ybr="2"/></image></annotations>',
+            (
+                '<annotations><image id="1"><box xtl="1" ytl="1" xbr="x"'
+                ' ybr="2"/></image></annotations>'
+            ),
             "finite number for xbr",
         ),
         (json.dumps([{"image_id": 1, "bbox": [1, 2, 0, 4]}]), "a box of some width and height"),

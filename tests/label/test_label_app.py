@@ -77,9 +77,10 @@ def learned_map(page):
     """Whether anything was learned, and how red the map is."""
     answer = page.get("/api/map/false").json()
     data = base64.b64decode(answer["picture"].removeprefix("data:image/png;base64,"))
-    return answer["learned"], cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)[
-        ..., 3
-    ]
+    return (
+        answer["learned"],
+        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)[..., 3],
+    )
 
 
 def test_the_map_shows_where_false_boxes_were_marked(page):

@@ -209,10 +209,9 @@ def test_many_people_at_once_lose_no_click(store):
 def test_a_process_that_is_killed_loses_no_click_that_was_kept(store):
     """It is killed right after it has said that the last one was kept."""
     program = (
-        "import os, signal, sys; from pathlib import Path; from phdtrack.label import Label, LabelStore\n"
-        f"store = LabelStore(Path({str(store.path)!r}))\n"
-        "for k in range(25): store.mark(10, [Label(10, k, 'false')])\n"
-        "os.kill(os.getpid(), signal.SIGKILL)\n"
+        "import os, signal, sys; from pathlib import Path; from phdtrack.label import Label,"
+        f" LabelStore\nstore = LabelStore(Path({str(store.path)!r}))\nfor k in range(25):"
+        " store.mark(10, [Label(10, k, 'false')])\nos.kill(os.getpid(), signal.SIGKILL)\n"
     )
     done = subprocess.run([sys.executable, "-c", program], check=False)
     assert done.returncode == -9

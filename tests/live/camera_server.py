@@ -152,7 +152,8 @@ class RtspServer:
         if self._child.stdout.readline() != "READY\n":
             self.kill()
             raise LookupError(
-                "needs gir1.2-gst-rtsp-server-1.0, python3-gi, gstreamer1.0-plugins-{base,good,ugly}"
+                "needs gir1.2-gst-rtsp-server-1.0, python3-gi,"
+                " gstreamer1.0-plugins-{base,good,ugly}"
             )
 
     def say(self, command: str) -> None:

@@ -22,9 +22,9 @@ except (ImportError, ValueError) as error:
     sys.exit(3)
 
 PIPELINE = (
-    "( appsrc name=pictures is-live=true do-timestamp=true format=time max-bytes=2000000 ! videoconvert ! "
-    "video/x-raw,format=I420 ! x264enc tune=zerolatency speed-preset=ultrafast key-int-max=50 ! "
-    "rtph264pay name=pay0 pt=96 config-interval=1 )"
+    "( appsrc name=pictures is-live=true do-timestamp=true format=time max-bytes=2000000 !"
+    " videoconvert ! video/x-raw,format=I420 ! x264enc tune=zerolatency speed-preset=ultrafast"
+    " key-int-max=50 ! rtph264pay name=pay0 pt=96 config-interval=1 )"
 )
 
 

@@ -183,7 +183,10 @@ def test_it_ends_by_itself_and_says_what_it_did(tmp_path: Path) -> None:
 def test_nobody_else_writes_into_its_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    code = "import pathlib, sys\nfrom phdtrack.cli.run_directory import claim\nclaim(pathlib.Path(sys.argv[1]), False, {})"
+    code = (
+        "import pathlib, sys\nfrom phdtrack.cli.run_directory import"
+        " claim\nclaim(pathlib.Path(sys.argv[1]), False, {})"
+    )
     said = list[str]()
 
     def attend(*_: object) -> None:

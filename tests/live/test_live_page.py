@@ -323,7 +323,10 @@ def test_in_a_browser(
     assert read_places(folder / "places.toml") == ()
     # The picture of a camera never stands under another's name, and nothing is drawn on a picture
     # that there is not.
-    filled = "document.querySelector('#picture').getContext('2d').getImageData(0, 0, 160, 120).data.some((one) => one > 0)"
+    filled = (
+        "document.querySelector('#picture').getContext('2d').getImageData(0, 0, 160,"
+        " 120).data.some((one) => one > 0)"
+    )
     for _ in range(5):
         page.click('#cameras button:has-text("dead")')
         page.wait_for_selector('#state dd:text-matches("^(down|connecting)")')

@@ -56,7 +56,10 @@ def test_many_lifetimes_are_folded(browser, width: int) -> None:
 
 def test_a_long_table_shows_its_first_rows_and_the_others_at_a_click(browser) -> None:
     rows = [(f"row {k}", "word " * 40) for k in range(40)]
-    table = "{% import 'macros.html' as m %}{% call m.section('Long') %}{{ m.table(('a', 'b'), rows) }}{% endcall %}"
+    table = (
+        "{% import 'macros.html' as m %}{% call m.section('Long') %}{{ m.table(('a', 'b'), rows)"
+        " }}{% endcall %}"
+    )
     base = str(render("base.html", title="t", source="", lead=""))
     source = base.replace("</main>", environment().from_string(table).render(rows=rows) + "</main>")
     page = opened(browser, source, 390, "dark")

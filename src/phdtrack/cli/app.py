@@ -32,24 +32,41 @@ COMMANDS = {
     "live": "Track cameras without end: events, rows and videos by the hour, and a page.",
     "demo": "Render a street and track the people in it, with the filter and without.",
     "track": "Track the objects in a video, or in a file of detections.",
-    "batch": "Track many videos: by processes, the jobs of an array, or a Ray cluster, into one data set.",
+    "batch": (
+        "Track many videos: by processes, the jobs of an array, or a Ray cluster, into one data"
+        " set."
+    ),
     "groups": "Find groups of people on the ground, in a video or in a file of detections.",
-    "count": "Count who crosses lines and who is in zones: in a video, in a run, or among tracks in a file.",
+    "count": (
+        "Count who crosses lines and who is in zones: in a video, in a run, or among tracks in a"
+        " file."
+    ),
     "export": "Write the tracks of a run, or of a file, in the format of another tool.",
     "detect": "Detect objects in a video and write detections.csv, a MOTChallenge file.",
     "evaluate": "Score tracks against annotated objects.",
     "compare": "Compare filters: one table, with confidence intervals over seeds.",
     "simulate": "Simulate a scene: truth, detections of it, and a video.",
-    "label": "Mark false detections, missed objects and births on frames drawn at random: the page says how.",
-    "learn": "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`.",
-    "calibrate": "Make a camera of four or more points of flat ground, and say how well it fits each of them.",
+    "label": (
+        "Mark false detections, missed objects and births on frames drawn at random: the page says"
+        " how."
+    ),
+    "learn": (
+        "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`."
+    ),
+    "calibrate": (
+        "Make a camera of four or more points of flat ground, and say how well it fits each of"
+        " them."
+    ),
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
 }
 # Seconds after which a thread gives the interpreter to one that waits: those of a run need it
 # often, each time briefly.
 _SWITCH = 1e-5
 _MODULES = {"demo": "simulate", "detect": "track", "learn": "label"}
-_SUMMARY = "From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."
+_SUMMARY = (
+    "From a video, or any detector's boxes, to tracks: a filter of random finite sets between"
+    " detector and identities."
+)
 
 
 def application(name: str) -> typer.Typer:

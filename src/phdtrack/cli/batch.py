@@ -65,7 +65,10 @@ VIDEOS = (
 )
 _SOURCES = "Videos, folders and patterns of them, files of detections, @FILE for a list of these."
 _ENGINE = "Processes of this machine, or a Ray cluster, which has the same files."
-_SEGMENT = "Cut longer videos into segments of about so long, as 10m or 90s, each a task; the tracks are joined."
+_SEGMENT = (
+    "Cut longer videos into segments of about so long, as 10m or 90s, each a task; the tracks are"
+    " joined."
+)
 _OVERLAP = "What two segments have in common: who is who is decided there."
 _AGAIN = (
     "Run again what had other options, or files that have changed, and begin anew what was cut off."
@@ -301,7 +304,10 @@ def batch(
         write_run(file, document)
     now = sum(one["state"] == "done" for one in found) - before
     wait = len(videos) - now - before - len(failed)
-    numbers = f"{now} now, {before} before, {len(failed)} failed{f', {wait} wait for segments of other shards' if wait else ''}"
+    numbers = (
+        f"{now} now, {before} before, {len(failed)}"
+        f" failed{f', {wait} wait for segments of other shards' if wait else ''}"
+    )
     output.say(
         f"{counted(len(videos), 'video')}: {numbers}.",
         f"  {out / ROWS}  tracks of all",
@@ -323,7 +329,10 @@ def _done(videos: Sequence[Video], out: Path | None) -> dict[str, dict[str, Any]
     ]
     others = [run.name for run, mark in runs if mark.get("digest") != run.digest]
     if others and out:
-        problem = f"{counted(len(others), 'run')} there ({others[0]}, …) had other options, or the files have changed"
+        problem = (
+            f"{counted(len(others), 'run')} there ({others[0]}, …) had other options, or the files"
+            " have changed"
+        )
         raise InputError(
             problem,
             where=f"--out {out}",

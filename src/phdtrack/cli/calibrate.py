@@ -73,7 +73,10 @@ def calibrate(
     if size is not None:
         outside: Bool = np.logical_not(((table[:, :2] >= 0) & (table[:, :2] <= size)).all(axis=1))
         problem = f"expected a pixel inside of {size[0]}x{size[1]}, got ({{:g}}, {{:g}})"
-        cure = "The first two numbers are the pixel, the others its place in metres; or is --image-size another?"
+        cure = (
+            "The first two numbers are the pixel, the others its place in metres; or is"
+            " --image-size another?"
+        )
         rules.append(Rule(outside, problem, table[:, :2], cure))
     enforce(origin, *rules)
     try:
@@ -101,12 +104,14 @@ def _report(
         float(np.sqrt((error**2).mean())) for error in (fitted.pixel_error, fitted.ground_error)
     )
     out.say(
-        f"{counted(len(table), 'point')}: {rms_px:.2f} pixels and {rms_m:.3f} m off (root mean square)"
+        f"{counted(len(table), 'point')}: {rms_px:.2f} pixels and {rms_m:.3f} m off (root mean"
+        " square)"
     )
     if len(table) == 4:
         out.warn(
             [
-                "four points are always fitted exactly: how good the camera is, only more points can tell"
+                "four points are always fitted exactly: how good the camera is, only more points"
+                " can tell"
             ]
         )
     seen = None

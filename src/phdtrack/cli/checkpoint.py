@@ -208,7 +208,10 @@ class Checkpoint:
             if "number" in block:
                 self._save(inputs, block["number"], log)
         except OSError as error:
-            self.problem = f"no checkpoints from frame {block.get('number', 1)} on: {cannot_write(self._log, error)}"
+            self.problem = (
+                f"no checkpoints from frame {block.get('number', 1)} on:"
+                f" {cannot_write(self._log, error)}"
+            )
 
     def _save(self, inputs: Inputs, number: int, log: BinaryIO) -> None:
         """Bring everything to disk, by a thread of its own, if it is time and the last time has

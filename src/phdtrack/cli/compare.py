@@ -41,7 +41,10 @@ FILES = {
     DOCUMENT: "",
 }
 MOST_WARNINGS = 12
-_VARIANT = "Another method, as few=filter.history=5,preset=m09: the first filter with these settings. May be given again."
+_VARIANT = (
+    "Another method, as few=filter.history=5,preset=m09: the first filter with these settings. May"
+    " be given again."
+)
 
 
 @dataclass(frozen=True, slots=True)

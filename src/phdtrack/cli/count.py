@@ -286,7 +286,8 @@ class CountObserver(RunObserver):
                 classes = ", ".join(sorted(known)) or "none"
                 output.warn(
                     [
-                        f"{place.name} counts {', '.join(place.classes)}, and the tracks have the classes {classes}"
+                        f"{place.name} counts {', '.join(place.classes)}, and the tracks have the"
+                        f" classes {classes}"
                     ]
                 )
 
@@ -303,7 +304,8 @@ class CountObserver(RunObserver):
         if self._video is None:
             output.warn(
                 [
-                    "there are no pictures, and so no video: name it, as phdtrack count VIDEO --tracks FILE"
+                    "there are no pictures, and so no video: name it, as phdtrack count VIDEO"
+                    " --tracks FILE"
                 ]
             )
             return False
@@ -407,7 +409,10 @@ def drawn(image: Image, places: Sequence[Place], events: Sequence[Event]) -> Ima
     for place, points in zip(places, corners, strict=True):
         if place.closed:
             visits = counts[place.name, "enter"]
-            text = f"{place.name}: {visits - counts[place.name, 'exit']} inside, {counted(visits, 'visit')}"
+            text = (
+                f"{place.name}: {visits - counts[place.name, 'exit']} inside,"
+                f" {counted(visits, 'visit')}"
+            )
         else:
             text = f"{place.name}: {counts[place.name, 'in']} in, {counts[place.name, 'out']} out"
         plates.append((text, points.min(axis=0).tolist() if place.closed else points[0].tolist()))

@@ -120,7 +120,8 @@ def evaluate(
         output.warn([f"{truth}: the truth holds no object"])
     scores = score(annotated, found, frames=frames, iou=iou)
     output.say(
-        f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}"
+        f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match"
+        f" from IoU {iou:g}"
     )
     output.say()
     score_table(output, {"": scores})

@@ -376,13 +376,19 @@ def _camera(address: str) -> VideoSource:
         finally:
             live.stop()
             if dropped := live.status().dropped:
-                said = f"{counted(dropped, 'picture')} left out, which came while earlier ones were worked on"
+                said = (
+                    f"{counted(dropped, 'picture')} left out, which came while earlier ones were"
+                    " worked on"
+                )
                 source.problem = f"{shown(address)}: {said}"
 
     info = SequenceInfo(
         status.width, status.height, max(1.0, round(status.fps, 1)), 0, named(address)
     )
-    note = f"{shown(address)}: about {info.fps:g} pictures a second, each taken at the time at which it arrived"
+    note = (
+        f"{shown(address)}: about {info.fps:g} pictures a second, each taken at the time at which"
+        " it arrived"
+    )
     return VideoSource(info, read, note)
 
 

@@ -59,10 +59,22 @@ if TYPE_CHECKING:
     from phdtrack.metrics import Scores
 Stop = Exception | KeyboardInterrupt
 
-_WHICH = f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they came frame by frame."
-_LATEST = "The source had no end: figures are of the whole run, charts of its last frames, paths of the last tracks."
-_REUSED = "The detections are those of an earlier run with the same detector; --detect-again detects anew."
-_HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
+_WHICH = (
+    f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they"
+    " came frame by frame."
+)
+_LATEST = (
+    "The source had no end: figures are of the whole run, charts of its last frames, paths of the"
+    " last tracks."
+)
+_REUSED = (
+    "The detections are those of an earlier run with the same detector; --detect-again detects"
+    " anew."
+)
+_HIDDEN = (
+    "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked"
+    " can be seen."
+)
 _SHAKES = "The camera shakes: each picture was laid onto the scene before it was compared with it."
 _STOPPED = "stopped after frame {}; its files are being completed"
 # Frames that are kept, and that the report shows, of endless sources; the shorter side of an
@@ -257,9 +269,11 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
         tracking_seconds=done.seconds,
         finishing_seconds=finished,
         left_out=done.left_out,
-        scores=()
-        if scores is None
-        else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
+        scores=(
+            ()
+            if scores is None
+            else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items())
+        ),
         warnings=(*_problems(job, done), *wrong, *confirmed[1:]),
         notes=tuple(
             filter(None, (*confirmed[:1], _WHICH, hidden, latest, _SHAKES if done.shakes else ""))

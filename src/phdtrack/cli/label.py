@@ -125,7 +125,8 @@ def label(
     session = Session(store, found.table, pictures, found.info, work, command, labeller)
     state = store.progress()
     output.say(
-        f"{counted(state.frames, 'frame')}, {state.done} of them looked at; the marks are kept in {file}"
+        f"{counted(state.frames, 'frame')}, {state.done} of them looked at; the marks are kept in"
+        f" {file}"
     )
     output.say(f"the page: {address.url}   (Ctrl-C ends)")
     if browser:
@@ -136,7 +137,8 @@ def label(
     output.say(f"{looked}, {state.false} false, {counted(state.births, 'birth')}: {file}")
     done = state.done == state.frames
     output.say(
-        f"{'now run' if done else 'the same command goes on; when all are looked at, run'}: {session.learn(state)}"
+        f"{'now run' if done else 'the same command goes on; when all are looked at, run'}:"
+        f" {session.learn(state)}"
     )
 
 
@@ -153,7 +155,8 @@ def _exchange(
         it = labels.take(read, labeller)
         objects = f"{counted(it.objects, 'object')} with a detection, {it.drawn} without"
         output.say(
-            f"taken: {counted(it.false, 'false alarm')}, {objects}; {counted(it.done, 'frame')} done"
+            f"taken: {counted(it.false, 'false alarm')}, {objects}; {counted(it.done, 'frame')}"
+            " done"
         )
         missing = f"{counted(it.unmatched, 'false alarm')} left out: the detector has none there"
         elsewhere = (
@@ -237,7 +240,10 @@ def to_label(
         raise InputError("there are no detections to label", where=inputs.name)
     # Of detections alone, and of some videos, it is not known how many frames there are.
     if (last := inputs.info.frames or table.last) > LONGEST:
-        problem = f"expected a sequence of at most {LONGEST:,} frames to draw from, came one that ends with frame {last}"
+        problem = (
+            f"expected a sequence of at most {LONGEST:,} frames to draw from, came one that ends"
+            f" with frame {last}"
+        )
         raise InputError(
             problem, where=inputs.name, cure="Is a frame number wrong? Otherwise cut the sequence."
         )

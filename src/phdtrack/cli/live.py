@@ -51,9 +51,15 @@ _LINES = 10_000
 # Settings that cannot change while it runs, besides the kind of each part: what was learned or is
 # late depends on them.
 _FIXED = ("detector.", "camera.", "classes.", "associate.output_delay")
-_PLACES = "Lines and zones, read again when they change; NAME=FILE for one camera. Default: places.toml in its folder."
+_PLACES = (
+    "Lines and zones, read again when they change; NAME=FILE for one camera. Default: places.toml"
+    " in its folder."
+)
 _QUOTA = "Of rows, and of videos, keep so much of each camera, as 20GB; default: all."
-_SAVED = "Seconds between two times that is saved from which a restart goes on; 0: never, and it begins anew."
+_SAVED = (
+    "Seconds between two times that is saved from which a restart goes on; 0: never, and it begins"
+    " anew."
+)
 _SOURCES = "rtsp://…, http://…, a camera's number or a file; NAME=ADDRESS gives it a name."
 
 
@@ -159,7 +165,8 @@ def live(
     if cut:
         output.warn(
             [
-                f"not all files of {', '.join(cut)} are complete: those end in .part, and the next run completes them"
+                f"not all files of {', '.join(cut)} are complete: those end in .part, and the next"
+                " run completes them"
             ]
         )
         raise typer.Exit(1)

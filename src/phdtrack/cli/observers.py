@@ -88,7 +88,10 @@ class CameraObserver(RunObserver):
         """How often the camera's motion is not known."""
         frames = len(self._known[1:])
         unknown = self._known[1:].count(False)
-        said = f"in {unknown} of {frames} frames the camera's motion could not be measured and was taken for none"
+        said = (
+            f"in {unknown} of {frames} frames the camera's motion could not be measured and was"
+            " taken for none"
+        )
         document = {"kind": self._kind, "frames": frames, "frames_unmeasured": unknown}
         return Report(
             {"camera_motion": document}, (said,), render("camera_motion.html", sentences=(said,))

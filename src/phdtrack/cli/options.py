@@ -52,7 +52,10 @@ Seed = Annotated[
     int, option("N", "Seed of everything random: the same seed gives the same result.", min=0)
 ]
 Iou = Annotated[float, option("F", "Overlap (intersection over union) from which two boxes match.")]
-_WIDTH = "Wider frames are shrunk to N pixels for the detector; 0: not at all (default: about 640; face, person: 0)."
+_WIDTH = (
+    "Wider frames are shrunk to N pixels for the detector; 0: not at all (default: about 640; face,"
+    " person: 0)."
+)
 MaxWidth = Annotated[int | None, option("N", _WIDTH, min=0)]
 Mask = Annotated[
     Path | None,
@@ -77,7 +80,10 @@ SceneFile = Annotated[
     Path | None, option("FILE", "What `phdtrack learn` has learned of this scene.")
 ]
 TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score against.")]
-_MARKED = "Where the marks of `phdtrack label` are kept; default: runs/NAME.labels.sqlite, or one next to the video."
+_MARKED = (
+    "Where the marks of `phdtrack label` are kept; default: runs/NAME.labels.sqlite, or one next to"
+    " the video."
+)
 Labels = Annotated[Path | None, option("FILE", _MARKED)]
 Config = Annotated[
     Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")
@@ -143,7 +149,10 @@ Classes = Annotated[
 Out = Annotated[
     Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")
 ]
-_AGAIN = "Detect anew, and do not use what an earlier run has detected in this video by the same detector."
+_AGAIN = (
+    "Detect anew, and do not use what an earlier run has detected in this video by the same"
+    " detector."
+)
 DetectAgain = Annotated[bool, typer.Option("--detect-again", help=_AGAIN)]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Go on with a run that was stopped or killed.")
@@ -167,7 +176,10 @@ Threads = Annotated[
     int | None,
     option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0),
 ]
-_MOST = "Most detections of a frame; of more the highest scores are taken (default: 1000; less with some filters)."
+_MOST = (
+    "Most detections of a frame; of more the highest scores are taken (default: 1000; less with"
+    " some filters)."
+)
 MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
 
 DEFAULT_DETECTOR = "change"

@@ -138,7 +138,10 @@ def _watch(told: socket.socket, _: socket.socket) -> None:
             still = still + 1 if now == before else 0
             before = now
             if still >= _HANGS:
-                said = f"phdtrack: {signal.Signals(number).name}, while a step did not end: .part files hold what was done\n"
+                said = (
+                    f"phdtrack: {signal.Signals(number).name}, while a step did not end: .part"
+                    " files hold what was done\n"
+                )
                 os.write(2, said.encode())
                 os._exit(128 + number)
 

@@ -344,7 +344,10 @@ def _cases(word: str, wanted: Request, parameters: Mapping[str, Any]) -> list[Ca
         else:
             detectors = (DEFAULT_DETECTOR,)
     if detectors and not source:
-        cure = "Name detections with --detections, or put one video, or images in img1, into the folder."
+        cure = (
+            "Name detections with --detections, or put one video, or images in img1, into the"
+            " folder."
+        )
         raise InputError("there are no pictures for a detector to look at", where=word, cure=cure)
     known = find_seqinfo(word)
     if truth is None:

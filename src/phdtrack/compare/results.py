@@ -36,7 +36,10 @@ _DIGITS = {"ms": 2, "boxes_per_frame": 2, "log_evidence": 1, "delay_mean": 1} | 
     (*_COUNTS.split(), *SUMS), 1
 )
 # Of these neither more nor less is better, or not between filters.
-_NEUTRAL = "frames truth_boxes output_boxes truth_objects output_identities count_error_mean log_evidence tracks boxes_per_frame"
+_NEUTRAL = (
+    "frames truth_boxes output_boxes truth_objects output_identities count_error_mean log_evidence"
+    " tracks boxes_per_frame"
+)
 
 
 class Table(NamedTuple):

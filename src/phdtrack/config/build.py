@@ -180,8 +180,14 @@ def _ground(ground: CameraSettings, size: Size) -> tuple[Camera | None, Region]:
         return camera, ground.region
     corners = footprint(camera, size, ground.max_distance)
     if corners.shape[1] == 0:
-        problem = f"the camera shows no ground nearer than {ground.max_distance:g} m in an image of {size[0]:g}x{size[1]:g}"
-        cure = "Check that the camera is this video's, raise camera.max_distance, or give camera.region"
+        problem = (
+            f"the camera shows no ground nearer than {ground.max_distance:g} m in an image of"
+            f" {size[0]:g}x{size[1]:g}"
+        )
+        cure = (
+            "Check that the camera is this video's, raise camera.max_distance, or give"
+            " camera.region"
+        )
         raise InputError(problem, where=ground.file, cure=cure)
     left, low = corners.min(axis=1).tolist()
     right, high = corners.max(axis=1).tolist()
@@ -272,7 +278,10 @@ def _scene(file: str, size: Size, rate: float = 0.0) -> Scene:
 
     scene = read_scene(Path(file))
     if (float(scene.width), float(scene.height)) != size:
-        problem = f"the scene was learned on frames of {scene.width}x{scene.height}, and these are {size[0]:g}x{size[1]:g}"
+        problem = (
+            f"the scene was learned on frames of {scene.width}x{scene.height}, and these are"
+            f" {size[0]:g}x{size[1]:g}"
+        )
         raise InputError(problem, where=file, cure="Learn it on this video: phdtrack learn")
     if rate and scene.births is not None and scene.rate != rate:
         problem = (

@@ -85,7 +85,10 @@ def build_kinds(
                 parsed_value(value)
             )
         else:
-            cure = f"It may have {', '.join((*_LIMITS, *(f'{name}.…' for name in _SECTIONS)))}; kinds are those of all classes."
+            cure = (
+                f"It may have {', '.join((*_LIMITS, *(f'{name}.…' for name in _SECTIONS)))}; kinds"
+                " are those of all classes."
+            )
             raise InputError(
                 f"a class has no {rest or 'such setting'} of its own",
                 where=f"classes.{text}",

@@ -36,7 +36,10 @@ def gaussians_at(places: Places) -> GaussianMixture:
         & (velocity > 0)
     )
     if not whole.all():
-        problem = "expected places as x, y, a weight from 0, deviations of position and of velocity above 0"
+        problem = (
+            "expected places as x, y, a weight from 0, deviations of position and of velocity"
+            " above 0"
+        )
         raise InputError(problem, where="places")
     nothing = np.zeros(len(x))
     cov = np.square(np.stack([position, position, velocity, velocity], axis=1))[

@@ -203,7 +203,8 @@ class ChangeDetector:
             )
         if light < _DARK:
             out.append(
-                f"the pictures are dark (mean grey level {light:.0f} of 255): much is not seen in them. {_TRAINED}"
+                f"the pictures are dark (mean grey level {light:.0f} of 255): much is not seen in"
+                f" them. {_TRAINED}"
             )
         return tuple(out)
 

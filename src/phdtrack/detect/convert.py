@@ -20,7 +20,10 @@ from phdtrack.arrays import share_inside
 from phdtrack.errors import Checked, InputError, PositiveCount
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo
 
-_COLUMNS = "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and class"
+_COLUMNS = (
+    "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and"
+    " class"
+)
 _LARGEST_CLASS = 2.0**53
 # The shortest side of a box, pixels; the longest, and how far its centre may be outside, in frames.
 # Where the size of the frame is not known, a side of it that no camera has.
@@ -118,7 +121,10 @@ class LeftOut(NamedTuple):
 
 _REASONS = (
     "their width or height is not above 0",
-    f"a side is below {SHORTEST:g} pixels or above {LONGEST:g} frames, or their centre is so far outside",
+    (
+        f"a side is below {SHORTEST:g} pixels or above {LONGEST:g} frames, or their centre is so"
+        " far outside"
+    ),
     "their class was not asked for, or their size or score is below the least of their class",
     "there are more classes than limits.max_classes",
     "more are in one place than limits.max_in_one_place",
@@ -180,11 +186,17 @@ def doubtful(found: Detections, size: tuple[float, float]) -> str:
     most = found.xyxy.max(axis=0)
     least = found.xyxy[:, 2:].min()
     if most[2:].max() <= _SMALL:
-        return f"no box reaches beyond {most.max():.3g} pixels: boxes are in pixels of the image, not shares of its size"
+        return (
+            f"no box reaches beyond {most.max():.3g} pixels: boxes are in pixels of the image, not"
+            " shares of its size"
+        )
     if least > 0 and most[0] < size[0] and most[1] < size[1]:
         return ""
     outside = ((found.xyxy[:, 2:] <= 0) | (found.xyxy[:, :2] >= size)).any(axis=1).sum()
-    return f"{outside} of {len(found)} boxes lie outside of the frame of {size[0]:g}x{size[1]:g} pixels"
+    return (
+        f"{outside} of {len(found)} boxes lie outside of the frame of {size[0]:g}x{size[1]:g}"
+        " pixels"
+    )
 
 
 def within_frame(
@@ -211,7 +223,10 @@ def within_frame(
     beyond = (right > info.width) | (bottom > info.height)
     corners = (right - left > left) & (bottom - top > top)
     if len(table) >= _SOME and beyond.mean() > _MOST and corners.mean() > _ALMOST_ALL:
-        problem = f"{beyond.sum()} of {len(table)} boxes reach beyond the frame of {info.width}x{info.height} pixels"
+        problem = (
+            f"{beyond.sum()} of {len(table)} boxes reach beyond the frame of"
+            f" {info.width}x{info.height} pixels"
+        )
         cure = "Name the columns in a header line: frame, left, top, right, bottom, score."
         raise InputError(f"{problem}, as where corners are taken for sizes", where=path, cure=cure)
     high = bottom - top
@@ -221,7 +236,10 @@ def within_frame(
         and np.ptp(high) > 0
         and (table.detections.confidence == 1).all()
     ):
-        problem = f"no box is higher than {high.max():.3g} pixels and none has a score, as where a score is taken for the height"
+        problem = (
+            f"no box is higher than {high.max():.3g} pixels and none has a score, as where a score"
+            " is taken for the height"
+        )
         cure = "Name the columns in a header line: frame, left, top, width, height, score."
         raise InputError(problem, where=path, cure=cure)
     kept = share_inside(table.detections.xyxy, info.width, info.height) > 0
@@ -233,7 +251,10 @@ def within_frame(
     if kept.all():
         return table, empty
     outside = int((~kept).sum())
-    said = f"{outside} of {len(table)} boxes lie outside the frame of {info.width}x{info.height} pixels"
+    said = (
+        f"{outside} of {len(table)} boxes lie outside the frame of {info.width}x{info.height}"
+        " pixels"
+    )
     if outside == len(table):
         raise InputError(
             said,
@@ -258,7 +279,10 @@ def _numbers(values: object, where: str) -> F8:
             values = detach().cpu().double()
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError) as error:
-        problem = f"expected {_COLUMNS}; got {type(values).__name__} that does not convert to numbers ({error})"
+        problem = (
+            f"expected {_COLUMNS}; got {type(values).__name__} that does not convert to numbers"
+            f" ({error})"
+        )
         raise InputError(problem, where=where) from None
 
 

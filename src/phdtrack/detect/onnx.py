@@ -64,10 +64,14 @@ _DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
 _SHARES = 2.0
 _MOST_ROWS = 1000
 _MOST = 3000
-_PICTURE = "One picture is understood: (1, 3, height, width) or (1, height, width, 3) of float32, float16 or uint8."
+_PICTURE = (
+    "One picture is understood: (1, 3, height, width) or (1, height, width, 3) of float32, float16"
+    " or uint8."
+)
 _UNDERSTOOD = (
-    "Understood are (1, 4 + classes, N), (1, N, 5 + classes) in pixels (YOLOX: decode_in_inference), (1, N, 6), and boxes "
-    "(N, 4) beside scores and labels, or all scores. Try detector.layout=yolov5, yolov8 or end2end, or --detections FILE."
+    "Understood are (1, 4 + classes, N), (1, N, 5 + classes) in pixels (YOLOX:"
+    " decode_in_inference), (1, N, 6), and boxes (N, 4) beside scores and labels, or all scores."
+    " Try detector.layout=yolov5, yolov8 or end2end, or --detections FILE."
 )
 
 
@@ -171,7 +175,10 @@ class OnnxDetector:
             self._stride = _STRIDE
         self._input, self._more = self._inputs()
         if self.size and self._input.width and self._input.height:
-            problem = f"the network takes pictures of {self._input.width}x{self._input.height} pixels only"
+            problem = (
+                f"the network takes pictures of {self._input.width}x{self._input.height} pixels"
+                " only"
+            )
             raise InputError(problem, where="detector.size", cure="Leave it out.")
         self._layout = self._recognised(said.get("task", ""))
         coco = Path(__file__).with_name("coco.txt").read_text(encoding="utf-8").splitlines()
@@ -317,9 +324,10 @@ class OnnxDetector:
             last = sides[0] != 3 and sides[2] == 3
             channels, height, width = (sides[2], *sides[:2]) if last else sides
             if channels in (0, 3):
-                return _Input(
-                    pictures[0].name, batch, height, width, last, _TYPES[pictures[0].type]
-                ), more
+                return (
+                    _Input(pictures[0].name, batch, height, width, last, _TYPES[pictures[0].type]),
+                    more,
+                )
         raise InputError(
             f"its inputs are not recognised: {_listed(given)}", where=self.file, cure=_PICTURE
         )

@@ -22,7 +22,10 @@ from phdtrack.detect.components import BlobSettings, check_same_size
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.types import Detections, Frame, Image
 
-MEND = "python -m pip uninstall -y opencv-python opencv-contrib-python; python -m pip install --force-reinstall "
+MEND = (
+    "python -m pip uninstall -y opencv-python opencv-contrib-python; python -m pip install"
+    " --force-reinstall "
+)
 MEND += '"opencv-python-headless>=4.8,<5"'
 SearchStep = Annotated[float, Gt(1)]
 _SURELY_FOREGROUND = 200

@@ -286,7 +286,10 @@ def detector_parameters(name: str) -> dict[str, Any]:
     if name.startswith(_NETWORK):
         return {field.name: field.default for field in fields(OnnxDetector) if field.name != "file"}
     if name not in DETECTORS:
-        cure = f"{did_you_mean(name, DETECTORS)} A network of your own: onnx:FILE; its boxes: --detections FILE."
+        cure = (
+            f"{did_you_mean(name, DETECTORS)} A network of your own: onnx:FILE; its boxes:"
+            " --detections FILE."
+        )
         if name.endswith(".onnx"):
             cure = f"Say {_NETWORK}{name}"
         else:

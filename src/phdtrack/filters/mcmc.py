@@ -124,7 +124,8 @@ class MCMC(Filter[JointSamples]):
         check(self)
         if self.initial is not None and self.initial.weight.max(initial=0) > 1:
             raise InputError(
-                f"expected probabilities for the weights of single targets, got {self.initial.weight.max():g}",
+                "expected probabilities for the weights of single targets, got"
+                f" {self.initial.weight.max():g}",
                 where="MCMC.initial",
                 cure="Give one Gaussian a target",
             )

@@ -290,7 +290,10 @@ class PMB(Checked, Filter[Bernoullis]):
         if self.clutter_decay and dt > 1:
             seen = seen._replace(clutter=seen.clutter * dt**-self.clutter_decay)
         if self.noise_freedom and len(seen.period) not in (2, 4):
-            problem = f"noises are learned of measurements with 2 or 4 components, these have {len(seen.period)}"
+            problem = (
+                "noises are learned of measurements with 2 or 4 components, these have"
+                f" {len(seen.period)}"
+            )
             raise InputError(
                 problem, where="filter.noise_freedom", cure="Use 0, the model's noises"
             )

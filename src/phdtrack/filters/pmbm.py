@@ -260,7 +260,8 @@ class MHT(PMBM):
         width, height = self.frame_size
         if width <= 0 or height <= 0:
             raise InputError(
-                f"densities of new targets and false alarms need the frame's size, not {width:g}x{height:g}",
+                "densities of new targets and false alarms need the frame's size, not"
+                f" {width:g}x{height:g}",
                 where="filter.new_target_density",
             )
         return width * height

@@ -44,7 +44,10 @@ def rows_of_kitti(text: Text, kind: str | None) -> Text:
         if len(types) > 1:
             where = text.origin.path
             cure = f"Say --kitti {types[0]}, or in Python kitti={types[0]!r}."
-            problem = f"this KITTI label file has several types of objects ({', '.join(types[:9])}), and none was named"
+            problem = (
+                f"this KITTI label file has several types of objects ({', '.join(types[:9])}), and"
+                " none was named"
+            )
             raise InputError(problem, where=where, cure=cure)
         kind = "".join(types)
     every = kind is None

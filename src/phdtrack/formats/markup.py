@@ -181,7 +181,10 @@ def read_annotated(path: Path) -> Annotated:
     for one in boxes:
         left, top, right, bottom = one["xyxy"]
         if not (abs(left + top + right + bottom) < math.inf and right > left and bottom > top):
-            problem = f"expected a box of some width and height, came left, top, right, bottom {one['xyxy']}"
+            problem = (
+                "expected a box of some width and height, came left, top, right, bottom"
+                f" {one['xyxy']}"
+            )
             raise InputError(problem, where=f"{path}, frame {one['frame']}")
     return Annotated(about, pictures, boxes)
 
@@ -196,7 +199,11 @@ def _coco_values(path: Path, content: bytes) -> Annotated:
         label = names.get(entry.number("category_id", default=-1.0), "")
         boxes.append(
             entry.values
-            | {"frame": frame, "xyxy": (left, top, left + width, top + height), "label": label}
+            | {
+                "frame": frame,
+                "xyxy": (left, top, left + width, top + height),
+                "label": label,
+            }
         )
     return Annotated(found.about, found.pictures, boxes)
 
@@ -326,7 +333,10 @@ def table_of_xml(source: Source) -> Table:
     cvat = elements[0].name == "annotations"
     if not cvat and elements[0].name != "dataset":
         came = f"<{elements[0].name}>"
-        problem = f"expected CVML or CVAT, whose outermost element is <dataset> or <annotations>, came {came}"
+        problem = (
+            "expected CVML or CVAT, whose outermost element is <dataset> or <annotations>, came"
+            f" {came}"
+        )
         raise InputError(problem, where=elements[0].where)
     for box in elements:
         around = {element.name: element for element in box.around}

@@ -64,7 +64,10 @@ def stream_detections(file: BinaryIO, name: str) -> Iterator[DetectionTable]:
         detections_of(table)
         frame = frames_of(table)
         before = np.concatenate([[last + 1], frame[:-1]])
-        problem = "expected the rows of a stream in the order of their frames, came frame {:.0f} after frame {:.0f}"
+        problem = (
+            "expected the rows of a stream in the order of their frames, came frame {:.0f} after"
+            " frame {:.0f}"
+        )
         enforce(
             text.origin,
             Rule(

@@ -233,7 +233,10 @@ def table_of_parquet(source: Source) -> Table:
                 cells.cast(arrow.float64()).fill_null(np.nan).to_numpy(zero_copy_only=False)
             )
         except arrow.ArrowException:
-            problem = f"expected numbers in the column {table.column_names[at]}, came {table.column(at).type}"
+            problem = (
+                f"expected numbers in the column {table.column_names[at]}, came"
+                f" {table.column(at).type}"
+            )
             raise InputError(
                 problem, where=source.path, cure="Convert it before it is written."
             ) from None
@@ -253,7 +256,10 @@ def _kind(source: Source, text: Text) -> Kind:
     cell = [*text.cells(0), "", ""][1]
     if is_number(cell) and float(cell) % 1 > 0:
         problem = f"column 2 is the identity, a whole number (-1 where there is none), came {cell}"
-        cure = "Give frame, id, left, top, width, height, score in this order, or name the columns in a header line."
+        cure = (
+            "Give frame, id, left, top, width, height, score in this order, or name the columns in"
+            " a header line."
+        )
         raise InputError(problem, where=text.origin.at(0), cure=cure)
     if text.width in (12, 13) and is_number(cell) and float(cell) >= 0:
         return Kind.TRACKS

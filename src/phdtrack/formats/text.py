@@ -227,5 +227,8 @@ def _decode(path: Path, content: bytes) -> str:
         except UnicodeDecodeError as error:
             bad = error.start
     line = content.count(b"\n", 0, bad) + 1
-    problem = "expected detections, truth or tracks as text, XML, JSON or Parquet, came bytes that are no UTF-8 text"
+    problem = (
+        "expected detections, truth or tracks as text, XML, JSON or Parquet, came bytes that are no"
+        " UTF-8 text"
+    )
     raise InputError(problem, where=f"{path}, line {line}", cure="Is it the right file?")

@@ -92,7 +92,10 @@ def _truth_of(table: Table, path: Path) -> Truth:
     )
     rules = [flag(ignore, "distractor")]
     if (label != -1).any():
-        cure = "Truth of 8 or 9 columns has a MOTChallenge class in column 8; with 10 columns (MOT15) it has none."
+        cure = (
+            "Truth of 8 or 9 columns has a MOTChallenge class in column 8; with 10 columns (MOT15)"
+            " it has none."
+        )
         rules.append(whole(label, "class", low=_PEDESTRIAN, high=_LAST_CLASS, cure=cure))
         mot20 = any(part.upper().startswith("MOT20") for part in path.absolute().parts)
         ignore = np.isin(label, _MOT20_DISTRACTORS if mot20 else _DISTRACTORS).astype(np.float64)

@@ -349,7 +349,8 @@ def export_tracks(
             types = [words[k].replace(" ", "_") for k in tracks.class_id.tolist()]
             corners = [" ".join(f"{value:.7g}" for value in box) for box in tracks.xyxy.tolist()]
             lines = [
-                f"{row[0] - 1} {row[1]} {name} -1 -1 -10 {box} -1 -1 -1 -1000 -1000 -1000 -10 {row[6]}"
+                f"{row[0] - 1} {row[1]} {name} -1 -1 -10 {box} -1 -1 -1 -1000 -1000 -1000 -10"
+                f" {row[6]}"
                 for row, name, box in zip(rows, types, corners, strict=True)
             ]
         case "parquet":

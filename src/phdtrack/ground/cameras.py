@@ -91,7 +91,10 @@ class HomographyCamera:
             raise InputError(
                 "expected a matrix that can be inverted, came one that cannot",
                 where="homography",
-                cure="A homography maps the image to the ground one to one: are all nine numbers there?",
+                cure=(
+                    "A homography maps the image to the ground one to one: are all nine numbers"
+                    " there?"
+                ),
             )
         object.__setattr__(self, "_forward", h * (_side(h, self.inside) / np.abs(h).max()))
         object.__setattr__(self, "_back", np.linalg.inv(self._forward))
@@ -267,7 +270,10 @@ class OpenCVLens:
                 where="lens of the camera",
             )
         if np.any(k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or k[2, 2] != 1:
-            problem = "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], came other entries than 0 and 1"
+            problem = (
+                "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], came other entries"
+                " than 0 and 1"
+            )
             raise InputError(problem, where="lens of the camera")
         if (
             d.ndim != 1
@@ -275,9 +281,13 @@ class OpenCVLens:
             or not (np.abs(d) <= _MOST_DISTORTION).all()
         ):
             raise InputError(
-                f"expected 0, 4, 5, 8 or 12 finite distortion coefficients of at most {_MOST_DISTORTION:g}, came {d.size}",
+                "expected 0, 4, 5, 8 or 12 finite distortion coefficients of at most"
+                f" {_MOST_DISTORTION:g}, came {d.size}",
                 where="lens of the camera",
-                cure="The two of a tilted sensor (14 coefficients) are not understood; leave them out where they are 0.",
+                cure=(
+                    "The two of a tilted sensor (14 coefficients) are not understood; leave them"
+                    " out where they are 0."
+                ),
             )
         object.__setattr__(self, "fold", _fold(np.concatenate([d, np.zeros(12 - len(d))])))
 
@@ -399,7 +409,10 @@ class PosedCamera:
             raise InputError(
                 "expected a rotation matrix, came one that stretches or mirrors",
                 where="pose of the camera",
-                cure="R is orthogonal with determinant 1; a projection matrix K[R|T] must be taken apart first.",
+                cure=(
+                    "R is orthogonal with determinant 1; a projection matrix K[R|T] must be taken"
+                    " apart first."
+                ),
             )
 
     @property
@@ -513,7 +526,8 @@ def footprint(camera: Camera, frame_size: tuple[float, float], limit: float = 10
     width, height = frame_size
     if not (width > 0 and height > 0 and limit > 0):
         raise InputError(
-            f"expected a frame size and a limit above 0, came {width:g} x {height:g} and {limit:g} m"
+            f"expected a frame size and a limit above 0, came {width:g} x {height:g} and"
+            f" {limit:g} m"
         )
 
     def visible(pixel: F8) -> Bool:

@@ -140,14 +140,16 @@ def _homography(source: F8, target: F8) -> F8:
     h = axes[-1].reshape(3, 3)
     if values[7] <= _OPEN * values[0] or np.linalg.cond(h) > 1 / _OPEN:
         raise InputError(
-            "expected four points of which no three lie on a line, came a layout that leaves the camera open",
+            "expected four points of which no three lie on a line, came a layout that leaves the"
+            " camera open",
             where="points",
             cure="Add points away from the line that most of them lie on.",
         )
     w = h[2] @ x.T
     if (w > 0).any() and (w <= 0).any():
         raise InputError(
-            "expected points that one camera sees in front of it, came points on both sides of the horizon",
+            "expected points that one camera sees in front of it, came points on both sides of the"
+            " horizon",
             where="points",
             cure="Are two pairs mixed up, or x and y, or the signs of X and Y?",
         )
@@ -178,7 +180,10 @@ _NAMES = {
     "tvec": ("tvec", "T", "t", "translation", "translation_vector"),
 }
 _types = cache(get_type_hints)
-_EXPECTED = "expected a camera: Tsai XML, OpenCV YAML, XML or JSON, a homography in text or MATLAB 4 to 7, or camera.toml"
+_EXPECTED = (
+    "expected a camera: Tsai XML, OpenCV YAML, XML or JSON, a homography in text or MATLAB 4 to 7,"
+    " or camera.toml"
+)
 # Prints the 3 x 3 matrices and transforms (`maketform`) of a MATLAB file by name. A damaged file
 # can make SciPy's reader crash, or take all memory: so it runs in a process of its own, with a
 # bound.
@@ -231,7 +236,10 @@ class MatrixForm:
             value = getattr(self, name)
             known = get_args(kind)
             if not isinstance(value, str) or (known and value not in known):
-                expected = f"expected {name} = {' or '.join(known[1:]) or 'a name'}, came {reprlib.repr(value)}"
+                expected = (
+                    f"expected {name} = {' or '.join(known[1:]) or 'a name'}, came"
+                    f" {reprlib.repr(value)}"
+                )
                 raise InputError(expected, where="form of the homography")
 
 
@@ -269,10 +277,10 @@ def calibration_text(fitted: Calibration, frame_size: tuple[int, int] | None = N
     else:
         of = ""
     return (
-        f"# Fitted to {len(fitted.pixel_error)} points{of}; the worst is {missed:.2f} pixels and {off:.3f} m off.\n"
-        f"homography = [\n{rows},\n]\n"
-        'maps = "pixel-to-ground"\nvectors = "column"\npixel = "xy"\nunit = "m"\n'
-        f"inside = [{', '.join(map(repr, fitted.camera.inside or ()))}]  # a pixel that shows ground\n"
+        f"# Fitted to {len(fitted.pixel_error)} points{of}; the worst is {missed:.2f} pixels and"
+        f' {off:.3f} m off.\nhomography = [\n{rows},\n]\nmaps = "pixel-to-ground"\nvectors ='
+        ' "column"\npixel = "xy"\nunit = "m"\ninside ='
+        f" [{', '.join(map(repr, fitted.camera.inside or ()))}]  # a pixel that shows ground\n"
     )
 
 
@@ -316,7 +324,8 @@ def _described(path: Path, values: Description, nested: bool) -> Camera:
     kinds += ["camera_matrix"] * any(name in values for name in _NAMES["camera_matrix"])
     if len(kinds) != 1:
         raise InputError(
-            f"expected one of file, homography and camera_matrix, came {' and '.join(kinds) or 'none of them'}"
+            "expected one of file, homography and camera_matrix, came"
+            f" {' and '.join(kinds) or 'none of them'}"
         )
     if kinds == ["file"] and nested:
         raise InputError("expected a camera, came a description of yet another file")
@@ -372,7 +381,10 @@ def _opencv_camera(values: Description) -> PosedCamera:
         cure = "Write distortion_coefficients = [] for a lens without distortion."
         raise InputError("expected distortion_coefficients, came none", cure=cure)
     if not named["tvec"] or bool(named["rvec"]) == bool(named["R"]):
-        cure = "cv2.solvePnP gives both from points; without a lens, `phdtrack calibrate` needs nothing but points."
+        cure = (
+            "cv2.solvePnP gives both from points; without a lens, `phdtrack calibrate` needs"
+            " nothing but points."
+        )
         raise InputError("expected the pose of the camera, tvec and either rvec or R", cure=cure)
     matrix = _array(values, named["camera_matrix"], (3, 3))
     distortion = _array(values, named["distortion_coefficients"])

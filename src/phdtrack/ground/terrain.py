@@ -96,7 +96,8 @@ class Terrain:
             or np.isnan(heights).all()
         ):
             raise InputError(
-                f"expected 2 x 2 heights or more, within {_HIGHEST:g} m or NaN, not all NaN, came shape {heights.shape}",
+                f"expected 2 x 2 heights or more, within {_HIGHEST:g} m or NaN, not all NaN, came"
+                f" shape {heights.shape}",
                 where="terrain",
             )
         if (
@@ -106,7 +107,8 @@ class Terrain:
             or not (step > 0).all()
         ):
             raise InputError(
-                "expected a finite origin (x, y) and finite steps (along x, along y) above 0, in metres",
+                "expected a finite origin (x, y) and finite steps (along x, along y) above 0, in"
+                " metres",
                 where="terrain",
             )
         levels = float(np.nanmin(heights)), float(np.nanmean(heights)), float(np.nanmax(heights))

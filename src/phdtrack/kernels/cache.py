@@ -30,10 +30,14 @@ import numba
 from numba.core import codegen, event
 
 _LOG = logging.getLogger(__name__)
-_COMPILING = "phdtrack compiles its kernels (ten seconds or more, once on this machine: they are kept for the next runs) ..."
+_COMPILING = (
+    "phdtrack compiles its kernels (ten seconds or more, once on this machine: they are kept for"
+    " the next runs) ..."
+)
 _ALWAYS_COMPILING = (
-    "phdtrack compiles its kernels (ten seconds or more, and so in every run: neither the installation nor the home folder "
-    "can be written into; set NUMBA_CACHE_DIR to a folder that can) ..."
+    "phdtrack compiles its kernels (ten seconds or more, and so in every run: neither the"
+    " installation nor the home folder can be written into; set NUMBA_CACHE_DIR to a folder that"
+    " can) ..."
 )
 SOURCES = Path(__file__).parent
 

@@ -294,9 +294,10 @@ def mixture_of(
     for p in range(born_pairs.size):
         out_weight[behind + p] = born_pairs[p].weight
     k = behind + born_pairs.size
-    return Rows(
-        out_weight[:k], out.mean[:k], out.covariance[:k]
-    ), missed * terms.missed + mass + born_mass
+    return (
+        Rows(out_weight[:k], out.mean[:k], out.covariance[:k]),
+        missed * terms.missed + mass + born_mass,
+    )
 
 
 @njit(**ENTRY)

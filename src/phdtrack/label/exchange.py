@@ -88,7 +88,10 @@ class Exchange:
         for one in given.pictures:
             size = [_whole(one.get(name)) for name in ("width", "height")]
             if all(size) and self.info.width and size != [self.info.width, self.info.height]:
-                problem = f"expected pictures of {self.info.width} x {self.info.height}, came {size[0]} x {size[1]}"
+                problem = (
+                    f"expected pictures of {self.info.width} x {self.info.height}, came {size[0]} x"
+                    f" {size[1]}"
+                )
                 raise InputError(
                     problem,
                     where=f"frame {one['frame']} of the file",

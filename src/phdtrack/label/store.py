@@ -156,7 +156,10 @@ class LabelStore:
                         f"expected labels of format {FORMAT}, got {known['format']!r}", where=path
                     )
                 if known["detections"] != digest:
-                    problem = f"the labels are those of other detections (of {known['source']}), not of these of {source}"
+                    problem = (
+                        f"the labels are those of other detections (of {known['source']}), not of"
+                        f" these of {source}"
+                    )
                     raise InputError(
                         problem,
                         where=path,
@@ -235,7 +238,10 @@ class LabelStore:
         who, key : as in `mark`; actions of nobody by name are everybody's.
         again : the other way: make the action that was undone last count again.
         """
-        chosen = f"SELECT {'min' if again else 'max'}(id) FROM action WHERE {_OWN} AND undone = {int(again)}"
+        chosen = (
+            f"SELECT {'min' if again else 'max'}(id) FROM action WHERE {_OWN} AND undone ="
+            f" {int(again)}"
+        )
         self._change(
             key,
             (f"UPDATE action SET undone = {int(not again)} WHERE id = ({chosen})", [(frame, who)]),

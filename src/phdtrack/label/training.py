@@ -43,10 +43,11 @@ from phdtrack.types import DetectionTable, SequenceInfo, Tracks
 # were of as many.
 UNATTENDED = 200
 LIMITS = (
-    "No person has checked them. A person who sits or stands in one place for nine tenths of the stretch, or for two thirds "
-    "of it while detected in every other frame only, is taken for a false alarm there, and so are people hidden by others "
-    "in a crowd (in a simulated one a quarter of what was taken were people, in streets 3 %). To check them: phdtrack "
-    "label suggests the same boxes."
+    "No person has checked them. A person who sits or stands in one place for nine tenths of the"
+    " stretch, or for two thirds of it while detected in every other frame only, is taken for a"
+    " false alarm there, and so are people hidden by others in a crowd (in a simulated one a"
+    " quarter of what was taken were people, in streets 3 %). To check them: phdtrack label"
+    " suggests the same boxes."
 )
 
 
@@ -152,7 +153,10 @@ class SceneTraining:
             return Lesson(None, math.nan, f"{part} stay as shipped: {error}")
         gain = "too few samples to measure the gain"
         if math.isfinite(training.gain):
-            gain = f"samples not learned from are {max(0.0, training.gain):+.2f} nats likelier than under a uniform density"
+            gain = (
+                f"samples not learned from are {max(0.0, training.gain):+.2f} nats likelier than"
+                " under a uniform density"
+            )
         if not learned.density.has_places:
             text += "; nothing was learned of where, as no place is likelier than others"
         sentence = f"{part}: {text}; {gain}"
@@ -168,11 +172,17 @@ class SceneTraining:
         marks = self._marked
         frames = len(marks.looked_at)
         training = learn_boxes(marks.false_boxes, frames, self._size, FALSE_BOXES)
-        text = f"{counted(training.learned.samples, 'box', 'boxes')} marked by a person on {counted(frames, 'frame')}"
+        text = (
+            f"{counted(training.learned.samples, 'box', 'boxes')} marked by a person on"
+            f" {counted(frames, 'frame')}"
+        )
         if missed := len(marks.missed):
             objects = marks.object_boxes.shape[1]
             share = 100 * (1 - missed / objects)
-            text += f", where the detector missed {missed} of {counted(objects, 'object')} (it detects {share:.0f} %)"
+            text += (
+                f", where the detector missed {missed} of {counted(objects, 'object')} (it detects"
+                f" {share:.0f} %)"
+            )
         return training, text
 
     def _unattended_clutter(self) -> tuple[Training, str]:
@@ -200,7 +210,10 @@ class SceneTraining:
             why.append(f"{reasons['place']} at {counted(len(places), 'place')} that fire too often")
         if reasons["rejected"]:
             why.append(f"{reasons['rejected']} that the filter rejected")
-        many = f"{counted(training.learned.samples, 'box', 'boxes')} of {counted(len(frames), 'frame')}"
+        many = (
+            f"{counted(training.learned.samples, 'box', 'boxes')} of"
+            f" {counted(len(frames), 'frame')}"
+        )
         return training, f"{many} taken for false ({', '.join(why)})"
 
     def _without_followed(
@@ -219,7 +232,10 @@ class SceneTraining:
             )
         except InputError as error:
             return tracks, None, f"no track is held back: {error}"
-        text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
+        text = (
+            f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it"
+            " knows them"
+        )
         kept = without_false_tracks(tracks, FalseAlarmRatio(alarms, followed))
         return kept, followed, f"{text}; tracks that stay among them are held back"
 
@@ -236,7 +252,10 @@ class SceneTraining:
         marks = self._marked
         rate = self.stages.model.rate
         states = marks.birth_states(rate)
-        text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(len(marks.watched), 'frame')}"
+        text = (
+            f"{counted(states.shape[1], 'birth')} marked by a person on"
+            f" {counted(len(marks.watched), 'frame')}"
+        )
         unknown = int(np.isnan(states[2]).sum())
         text += f" ({unknown} of unknown velocity)" if unknown else ""
         return learn_births(states, marks.time_watched(rate), self._size), text

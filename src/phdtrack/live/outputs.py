@@ -39,15 +39,29 @@ _IMPATIENT = "PRAGMA busy_timeout=200"
 _TABLES = (
     "PRAGMA journal_mode=WAL",
     "PRAGMA synchronous=FULL",
-    "CREATE TABLE IF NOT EXISTS events (id TEXT PRIMARY KEY, time TEXT, kind TEXT, place TEXT, identity INTEGER, "
-    "event TEXT NOT NULL)",
+    (
+        "CREATE TABLE IF NOT EXISTS events (id TEXT PRIMARY KEY, time TEXT, kind TEXT, place TEXT,"
+        " identity INTEGER, event TEXT NOT NULL)"
+    ),
     "CREATE TABLE IF NOT EXISTS receivers (name TEXT PRIMARY KEY, has INTEGER NOT NULL)",
-    "CREATE TABLE IF NOT EXISTS watched (one INTEGER PRIMARY KEY, number INTEGER NOT NULL, state BLOB NOT NULL)",
+    (
+        "CREATE TABLE IF NOT EXISTS watched (one INTEGER PRIMARY KEY, number INTEGER NOT NULL,"
+        " state BLOB NOT NULL)"
+    ),
 )
 # The number of the next row: none that an event has had, also where somebody has deleted some.
-_NEXT = "(SELECT 1 + MAX(COALESCE(MAX(rowid), 0), (SELECT COALESCE(MAX(has), 0) FROM receivers)) FROM events)"
-_ADD = f"INSERT OR IGNORE INTO events (rowid, id, time, kind, place, identity, event) VALUES ({_NEXT}, ?, ?, ?, ?, ?, ?)"
-_WAITING = "SELECT rowid, id, event FROM events WHERE rowid > (SELECT has FROM receivers WHERE name = ?) ORDER BY rowid LIMIT ?"
+_NEXT = (
+    "(SELECT 1 + MAX(COALESCE(MAX(rowid), 0), (SELECT COALESCE(MAX(has), 0) FROM receivers)) FROM"
+    " events)"
+)
+_ADD = (
+    f"INSERT OR IGNORE INTO events (rowid, id, time, kind, place, identity, event) VALUES ({_NEXT},"
+    " ?, ?, ?, ?, ?, ?)"
+)
+_WAITING = (
+    "SELECT rowid, id, event FROM events WHERE rowid > (SELECT has FROM receivers WHERE name = ?)"
+    " ORDER BY rowid LIMIT ?"
+)
 HEAD = "time,frame,identity,class,left,top,width,height,confidence,detection,confirmed\n"
 Told = dict[str, object]
 """An event for JSON."""

@@ -108,9 +108,11 @@ class Page:
         for one ``after``.
         """
         number, image = self.cameras[name].picture(after, _PATIENCE)
-        return number, b"" if image is None else cv2.imencode(
-            ".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80]
-        )[1].tobytes()
+        return number, (
+            b""
+            if image is None
+            else cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
+        )
 
     def map(self, name: str, what: str) -> bytes:
         """Where people were, or where false alarms, over the darkened picture, as JPEG."""
@@ -216,7 +218,8 @@ class Page:
             for labels, value in rows:
                 inside = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
                 lines.append(
-                    f"phdtrack_{name}{{{inside}}} {'NaN' if np.isnan(value) else format(float(value), '.10g')}"
+                    f"phdtrack_{name}{{{inside}}}"
+                    f" {'NaN' if np.isnan(value) else format(float(value), '.10g')}"
                 )
         return "\n".join(lines) + "\n"
 

@@ -49,8 +49,8 @@ from phdtrack.errors import InputError
 from phdtrack.files import json_value
 
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src"
+    " 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 HEADERS = {
     "Content-Security-Policy": POLICY,
@@ -79,7 +79,10 @@ GUESSES = 10
 ALL_GUESSES = 100
 GUESSING = 60.0
 _NAME = re.compile(r"([A-Za-z0-9](?:[A-Za-z0-9.-]*[A-Za-z0-9])?|\[[0-9A-Fa-f:.]+\])(?::\d{1,5})?")
-_BUSY = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+_BUSY = (
+    b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length:"
+    b" 0\r\n\r\n"
+)
 _METHODS = ("GET", "HEAD", "POST")
 JSON = "application/json"
 Clock = Callable[[], float]
@@ -391,8 +394,14 @@ def _tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | None:
         # Without a word OpenSSL would ask for it on the terminal.
         context.load_cert_chain(certificate, key, password=lambda: "")
     except (OSError, ValueError) as error:
-        problem = f"expected a certificate and its key, not encrypted, as PEM ({getattr(error, 'reason', '') or error.args[-1]})"
-        cure = "Make a pair: openssl req -x509 -newkey rsa:2048 -nodes -days 365 -keyout key.pem -out certificate.pem"
+        problem = (
+            "expected a certificate and its key, not encrypted, as PEM"
+            f" ({getattr(error, 'reason', '') or error.args[-1]})"
+        )
+        cure = (
+            "Make a pair: openssl req -x509 -newkey rsa:2048 -nodes -days 365 -keyout key.pem -out"
+            " certificate.pem"
+        )
         raise InputError(problem, where=f"{certificate}, {key}", cure=cure) from None
     return context
 

@@ -125,9 +125,9 @@ def write_places(path: Path, places: Sequence[Place]) -> None:
     done.
     """
     tables = [
-        f"[[{'zone' if one.closed else 'line'}]]\nname = {_text(one.name)}\n"
-        f"points = {json.dumps([list(point) for point in one.points])}\nanchor = {_text(one.anchor)}\n"
-        f"classes = [{', '.join(map(_text, one.classes))}]\n"
+        f"[[{'zone' if one.closed else 'line'}]]\nname = {_text(one.name)}\npoints ="
+        f" {json.dumps([list(point) for point in one.points])}\nanchor ="
+        f" {_text(one.anchor)}\nclasses = [{', '.join(map(_text, one.classes))}]\n"
         for one in places
     ]
     text = "\n".join(tables)

@@ -182,7 +182,10 @@ def _check(rows: Truth | Tracks, distractor: Bool, name: str) -> None:
         and kinds[2] == "b"
         and distractor.shape == frame.shape
     ):
-        expected = "arrays of whole numbers for frame and identity, of True and False, as many, for distractor"
+        expected = (
+            "arrays of whole numbers for frame and identity, of True and False, as many, for"
+            " distractor"
+        )
         raise InputError(f"expected {expected}", where=name)
     if identity.shape != frame.shape or xyxy.shape != (len(frame), 4):
         shapes = f"{frame.shape}, {identity.shape}, {xyxy.shape}"

@@ -189,8 +189,9 @@ def rmse_per_target(
     )
     if not fits or len(truth_point) != len(point):
         raise InputError(
-            f"expected a frame and an identity per true point and a frame per estimate, got {len(truth_frame)}, "
-            f"{len(truth_identity)}, {truth_point.shape} and {len(frame)}, {point.shape}",
+            "expected a frame and an identity per true point and a frame per estimate, got"
+            f" {len(truth_frame)}, {len(truth_identity)}, {truth_point.shape} and {len(frame)},"
+            f" {point.shape}",
             cure="Points are columns: (d, M) and (d, N).",
         )
     if not (np.isfinite(truth_point).all() and np.isfinite(point).all()):

@@ -133,12 +133,15 @@ class BoxSensor(Checked):
         if detections.covariance is None:
             raise InputError(
                 "the sensor's scaling is 'given', but the detections bring no covariance",
-                cure="Use a detector that states one, or another scaling: particle, detection, fixed",
+                cure=(
+                    "Use a detector that states one, or another scaling: particle, detection, fixed"
+                ),
             )
         variance = np.diagonal(detections.covariance, axis1=1, axis2=2).T
         if not (variance > 0).all():
             raise InputError(
-                f"expected variances above 0 pixels² in the detections' covariance, got {variance.min():g}",
+                "expected variances above 0 pixels² in the detections' covariance, got"
+                f" {variance.min():g}",
                 cure="Give the detector's own noise, or another scaling",
             )
         return np.vstack([z, variance])

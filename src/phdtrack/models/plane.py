@@ -204,7 +204,8 @@ class PlaneSensor(PositionSensor):
             noise = cov[:, :2, :2]
         else:
             raise InputError(
-                "the sensor's scaling is 'given' and it has no camera, but the detections bring no covariance",
+                "the sensor's scaling is 'given' and it has no camera, but the detections bring no"
+                " covariance",
                 cure="Use sensor.scaling=fixed, or give a camera",
             )
         if self.camera is None:

@@ -88,9 +88,13 @@ class PositionMotion:
     def warp_states(self, x: F8, warp: F8) -> F8:
         """Raises `InputError`: the ground does not move with the image."""
         raise InputError(
-            "a target on the ground does not lie in the image: how its pixels move says nothing of it",
+            "a target on the ground does not lie in the image: how its pixels move says nothing"
+            " of it",
             where="camera motion",
-            cure="Compensate the camera's motion with motion.kind=box or point; on the ground, let it stand still",
+            cure=(
+                "Compensate the camera's motion with motion.kind=box or point; on the ground, let"
+                " it stand still"
+            ),
         )
 
     warp_jacobian = warp_states

@@ -115,7 +115,10 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
         if not (self.even_score < 1 <= self.max_odds):
-            problem = f"expected even_score below 1 and max_odds from 1, got {self.even_score:g} and {self.max_odds:g}"
+            problem = (
+                f"expected even_score below 1 and max_odds from 1, got {self.even_score:g} and"
+                f" {self.max_odds:g}"
+            )
             raise InputError(problem, where="[rates] of kind scores")
 
     def log_odds(self, score: F8, state: ScoresSeen) -> tuple[F8, F8]:

@@ -36,7 +36,10 @@ def one_rate(rates: tuple[float, float], where: str) -> None:
     """
     everywhere, each = rates
     if everywhere > 0 and each > 0:
-        problem = f"expected a rate everywhere or around each detection, not both, got {everywhere:g} and {each:g}"
+        problem = (
+            f"expected a rate everywhere or around each detection, not both, got {everywhere:g} and"
+            f" {each:g}"
+        )
         raise InputError(problem, where=where, cure="Set one of the two to 0")
 
 
@@ -77,7 +80,8 @@ def check_region(region: Region, where: str) -> None:
         region != EVERYWHERE and not (left < right and low < high)
     ):
         raise InputError(
-            f"expected a region of the ground as left, low, right, high in metres, got {list(region)}",
+            "expected a region of the ground as left, low, right, high in metres, got"
+            f" {list(region)}",
             where=where,
             cure="For example [-20, -25, 15, 10]; leave it out for no border",
         )

@@ -39,7 +39,7 @@ def as_warp(matrix: ArrayLike, where: str) -> F8:
         given = np.vstack([given, [0.0, 0.0, 1.0]])
     if given.shape != (3, 3) or not np.isfinite(given).all() or given[2, 2] == 0:
         raise InputError(
-            f"expected 3 x 3 or 2 x 3 finite numbers, the last of 3 x 3 not 0, got "
+            "expected 3 x 3 or 2 x 3 finite numbers, the last of 3 x 3 not 0, got "
             f"{given.tolist() if given.shape == (3, 3) else f'an array of shape {given.shape}'}",
             where=where,
             cure="The matrix takes pixels (x, y, 1) of the frame before to pixels of this frame",
@@ -50,7 +50,8 @@ def as_warp(matrix: ArrayLike, where: str) -> F8:
         areas = np.linalg.det(warp)
     if not _SCALES[0] <= areas <= _SCALES[1]:
         raise InputError(
-            f"expected how a camera moves from one frame to the next, got a map that scales areas by {areas:.3g}",
+            "expected how a camera moves from one frame to the next, got a map that scales areas"
+            f" by {areas:.3g}",
             where=where,
             cure="Give the matrix from the frame before to this one, both in pixels",
         )

@@ -536,7 +536,10 @@ class Plan:
         for words, corner in meetings:
             canvas.label(words, corner, _WARNING)
         detected = int(np.isfinite(scene.detections).all(axis=0).sum())
-        header = f"frame {frame.number}   {frame.time:.1f} s   {frame.people:.1f} people in {frame.named} groups"
+        header = (
+            f"frame {frame.number}   {frame.time:.1f} s   {frame.people:.1f} people in"
+            f" {frame.named} groups"
+        )
         canvas.plate(
             header + (f"   {detected} detections" if detected else ""), (0, 0), _INK, once=True
         )

@@ -156,7 +156,10 @@ def add_clutter(
     truth_sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
     """
     if not 1 <= info.frames <= _MOST_FRAMES:
-        problem = f"expected a known number of frames to add clutter to, at most {_MOST_FRAMES:,}, came {info.frames}"
+        problem = (
+            f"expected a known number of frames to add clutter to, at most {_MOST_FRAMES:,}, came"
+            f" {info.frames}"
+        )
         raise InputError(
             problem, where=info.name, cure="Count the frames. Is a frame number wrong?"
         )

@@ -172,13 +172,15 @@ class Scenario(Checked):
         Checked.__post_init__(self)
         low = min((y for walk in self.walks for _, y in walk.points), default=1.0)
         expected = {
-            f"at least 16x16 pixels, got {self.width}x{self.height}": min(self.width, self.height)
-            >= 16,
-            f"rows below the horizon {self.horizon:g}, got {self.rows}": self.horizon
-            < self.rows[0]
-            <= self.rows[1],
-            f"camera_height above the tallest head, 1.3, got {self.camera_height:g}": self.camera_height
-            > 1.3,
+            f"at least 16x16 pixels, got {self.width}x{self.height}": (
+                min(self.width, self.height) >= 16
+            ),
+            f"rows below the horizon {self.horizon:g}, got {self.rows}": (
+                self.horizon < self.rows[0] <= self.rows[1]
+            ),
+            f"camera_height above the tallest head, 1.3, got {self.camera_height:g}": (
+                self.camera_height > 1.3
+            ),
             "walks with two points or more and a positive speed": all(
                 len(w.points) > 1 and w.speed > 0 for w in self.walks
             ),

@@ -106,8 +106,14 @@ class VideoSource:
             frame = Frame(number, math.nan, image)
             wide, high = size_of(frame)
             if wide and (wide, high) != (self.info.width, self.info.height):
-                problem = f"this frame is {wide}x{high} pixels, the first one {self.info.width}x{self.info.height}"
-                cure = "All frames of a sequence need one size: split the input where the size changes."
+                problem = (
+                    f"this frame is {wide}x{high} pixels, the first one"
+                    f" {self.info.width}x{self.info.height}"
+                )
+                cure = (
+                    "All frames of a sequence need one size: split the input where the size"
+                    " changes."
+                )
                 raise InputError(problem, where=where, cure=cure)
             if stamp is None:
                 moment = math.nan
@@ -309,7 +315,10 @@ def _video(path: str, fps: float, first: int) -> VideoSource:
                 stamps = []
     if picture is None:
         problem = f"no frame could be decoded{f' ({losses[0][1]})' if losses else ''}"
-        cure = "The file is empty or damaged: copy it again, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)."
+        cure = (
+            "The file is empty or damaged: copy it again, or convert it (ffmpeg -i IN -c:v libx264"
+            " OUT.mp4)."
+        )
         raise InputError(problem, where=path, cure=cure)
     rate, note = _rate(float(fps or stated or 0), f"{path} does")
     info = SequenceInfo(*Decoded(picture).size, rate, name=Path(path).stem)
@@ -333,7 +342,10 @@ def _video(path: str, fps: float, first: int) -> VideoSource:
                 f"{path}: damaged after frame {after} ({reason}); {number} frames could be decoded"
             )
         elif number < stream.frames:
-            source.problem = f"{path}: ends after frame {number}, its header announces {stream.frames}; it may be cut short"
+            source.problem = (
+                f"{path}: ends after frame {number}, its header announces {stream.frames}; it may"
+                " be cut short"
+            )
 
     def sample(count: int) -> Iterator[Frame]:
         with _open(path) as (container, stream):
@@ -392,10 +404,16 @@ def _open(path: str) -> Iterator[tuple[Any, Any]]:
             path, timeout=(CONNECT, READ) if remote else None, metadata_errors="replace"
         )
     except (av.FFmpegError, OSError, ValueError) as error:
-        cure = "Check that it is a whole video file: an mp4 cut off while it was recorded or copied has no index. "
+        cure = (
+            "Check that it is a whole video file: an mp4 cut off while it was recorded or copied"
+            " has no index. "
+        )
         cure += "`ffmpeg -i IN -c:v libx264 OUT.mp4` converts most other kinds."
         if remote:
-            cure = "Check the address, and that what it names is switched on and can be reached from here."
+            cure = (
+                "Check the address, and that what it names is switched on and can be reached from"
+                " here."
+            )
         if isinstance(error, av.ExitError):
             late = f"no answer in {CONNECT:g} s"
         else:
