@@ -166,7 +166,7 @@ def ours(stream: Stream) -> dict[str, Any]:
     given = Tracks.concatenate(parts)
     wall, cpu = np.array(spent).T
     result = _result(wall, cpu, stream, given)
-    more = {"MOTA_confirmed": given.take(given.confirmed), "MOTA_corrected": tracker.tracks()}
+    more = {"MOTA_confirmed": given.select(given.confirmed), "MOTA_corrected": tracker.tracks()}
     scores = {
         name: evaluate(stream.truth, rows, frames=stream.info.frames).MOTA
         for name, rows in more.items()

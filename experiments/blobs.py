@@ -72,7 +72,7 @@ def work(job: tuple[BlobCase, Case, str, Sets]) -> BlobScores:
     run = followed(
         built(case.info, filter_name, sets, "mot15" if filter_name == "pmb" else ""), case, 1
     )
-    online = run.online.take(run.online.confirmed)
+    online = run.online.select(run.online.confirmed)
     scores = [
         evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online)
     ]

@@ -59,7 +59,7 @@ def laid_over(cars: str, detector: str) -> tuple[SequenceInfo, DetectionTable, d
     for label, name in ((CAR, cars), (PERSON, PEOPLE)):
         found = read_detections(folder_of(name) / f"det_{detector}" / "det.txt")
         early = found.frame <= last
-        one = found.detections.take(early)
+        one = found.detections.select(early)
         parts.append((found.frame[early], replace(one, class_id=np.full(len(one), label))))
         all_of_it = read_truth(folder_of(name) / "gt" / "gt.txt")
         keep = all_of_it.frame <= last
@@ -79,7 +79,7 @@ def laid_over(cars: str, detector: str) -> tuple[SequenceInfo, DetectionTable, d
         np.concatenate([getattr(x, name) for x in each])
         for name in ("xyxy", "confidence", "class_id")
     )
-    return info, DetectionTable(frame[order], Detections(boxes, score, label).take(order)), truth
+    return info, DetectionTable(frame[order], Detections(boxes, score, label).select(order)), truth
 
 
 def tracked(info: SequenceInfo, given: DetectionTable, preset: str) -> tuple[Tracks, Tracks]:
@@ -116,7 +116,7 @@ def crossing(job: tuple[Crossing, str]) -> Found:
     if way == "apart":
         each = []
         for one in (CAR, PERSON):
-            mine = DetectionTable(given.frame[label == one], given.detections.take(label == one))
+            mine = DetectionTable(given.frame[label == one], given.detections.select(label == one))
             each.append(tracked(info, mine, preset))
         outputs = list(zip(*each, strict=True))
     else:
@@ -136,7 +136,7 @@ def crossing(job: tuple[Crossing, str]) -> Found:
             identities.append(len(both[0] | both[1]))
         for c, (one, rows) in enumerate(zip((CAR, PERSON), pair, strict=True)):
             found = evaluate(
-                truth[one], rows.take(rows.class_id == one), frames=info.frames
+                truth[one], rows.select(rows.class_id == one), frames=info.frames
             ).as_dict()
             scores[k, c] = [100 * float(found[name] or 0.0) for name in SCORES]
     return Found(scores, mixed or [0, 0], identities or [0, 0])

@@ -74,7 +74,7 @@ SHORT = "OneLeaveShop1cor"
 def as_tracks(truth: Truth) -> Tracks:
     """The annotated objects as tracks."""
     rows = Tracks.of(truth.frame, truth.identity, truth.xyxy, 1.0, -1)
-    return rows.take(np.lexsort((truth.identity, truth.frame)))
+    return rows.select(np.lexsort((truth.identity, truth.frame)))
 
 
 def inside(events: list[Event], place: str, last: int) -> F8:

@@ -36,13 +36,13 @@ from experiments.fuzz import ROOT, Limits, Report, _shared, campaign
 from phdtrack import Tracker
 from phdtrack.cli.checkpoint import Checkpoint
 from phdtrack.cli.run_directory import KNOWN, LOG
-from phdtrack.config import build_kinds, load
+from phdtrack.config import build_classes, load
 from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
 from phdtrack.live.checkpoint import NAME as STATE
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Watch
-from phdtrack.live.page import Page
+from phdtrack.live.live_page import Page
 from phdtrack.live.sources import LiveFrame, SourceStatus
 from phdtrack.live.zones import Place
 from phdtrack.state import blocks, from_bytes, to_bytes
@@ -412,7 +412,7 @@ class Live:
 
         def make(info: SequenceInfo) -> Making:
             found = load(None, ["associate.history=10", "associate.output_delay=2"])
-            return Making(detector, build_kinds(found, info), info, 2)
+            return Making(detector, build_classes(found, info), info, 2)
 
         return Camera(
             "gate", source, make, CameraSettings(self.folder, watch=watch, video=0, checkpoint=1e9)

@@ -22,9 +22,9 @@ from experiments.group_scores import GroupScores, LabelledFrame, nearest, score_
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
 from phdtrack.groups.clusters import Grouping
+from phdtrack.groups.group_stages import carriers, on_ground
 from phdtrack.groups.life_cycle import GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pairs import Pairs, PairState, Walkers
-from phdtrack.groups.pipeline import carriers, on_ground
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks
 
@@ -263,8 +263,8 @@ def filtered(where: WalkedScene, stages: AnyStages, lightest: float, seed: int) 
     for mixture, step in steps:
         here = {
             STATES: (np.arange(len(step.estimates)), step.estimates.state[:2]),
-            ONLINE: _rows(step.tracks.take(step.tracks.confirmed)),
-            CORRECTED: _rows(tracks.take(tracks.frame == step.number)),
+            ONLINE: _rows(step.tracks.select(step.tracks.confirmed)),
+            CORRECTED: _rows(tracks.select(tracks.frame == step.number)),
         }
         people = {
             name: People(who, at, carriers(mixture, at, lightest))

@@ -68,7 +68,7 @@ class TrackEvidence:
     def with_rows(self, rows: Tracks, place: I8) -> TrackEvidence:
         """With more rows of tracks, of frames at the places (M,)."""
         seen = rows.detection >= 0
-        rows = rows.take(seen)
+        rows = rows.select(seen)
         place = place[seen]
         if not len(rows):
             return self
@@ -174,7 +174,7 @@ def label(pending: PendingFrames, until: float, detection: float) -> tuple[Pendi
     rows, new = (
         Tracks.concatenate([f.rows for f in frames[begin:]]) for begin in (0, pending.counted)
     )
-    new = new.take(np.isin(new.frame, number))
+    new = new.select(np.isin(new.frame, number))
     evidence = pending.evidence.with_rows(new, place + np.searchsorted(number, new.frame))
     due = int(np.searchsorted(time, until, side="right"))
     objects = evidence.objects(detection)

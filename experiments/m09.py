@@ -150,7 +150,7 @@ def own_births(tracks: Tracks, case: Case, rate: float) -> tuple[LearnedDensity,
     frames = (
         sorted(began.values())[PAPER_TRACKS - 1] if len(began) >= PAPER_TRACKS else case.info.frames
     )
-    early = tracks.take(np.flatnonzero([began[one] <= frames for one in tracks.identity.tolist()]))
+    early = tracks.select(np.flatnonzero([began[one] <= frames for one in tracks.identity.tolist()]))
     states = births_in(early, case.info.fps, rate, everything=True)
     time_units = frames / case.info.fps * rate
     lesson = as_lesson(states, time_units, case)

@@ -73,7 +73,7 @@ def score(one: SceneRun, halved: Halves, stages: AnyStages) -> SceneScores:
     """What a run with these stages gives on its stretch of the second half."""
     case = stretch(halved.test, 1, one.frames) if one.frames else halved.test
     run = followed(stages, case, one.seed)
-    online = run.online.take(np.flatnonzero(run.online.confirmed))
+    online = run.online.select(np.flatnonzero(run.online.confirmed))
     inside, outside = delays(case, online, halved.entries)
     scores, live = (
         evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online)
@@ -88,7 +88,7 @@ def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
     for begin, end in itertools.pairwise(edges.tolist()):
         part = stretch(case, begin + 1, end)
         rows = np.flatnonzero((tracks.frame > begin) & (tracks.frame <= end))
-        some = tracks.take(rows)
+        some = tracks.select(rows)
         found.append(
             evaluate(part.truth, replace(some, frame=some.frame - begin), frames=part.info.frames)
         )

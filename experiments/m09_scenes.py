@@ -122,7 +122,7 @@ def stretch(case: Case, first: int, last: int) -> Case:
             truth.xyxy[rows],
             truth.distractor[rows],
         ),
-        DetectionTable(table.frame[seen] - first + 1, table.detections.take(seen)),
+        DetectionTable(table.frame[seen] - first + 1, table.detections.select(seen)),
     )
 
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-SETTINGS = ("src/phdtrack/config/presets.toml", "src/phdtrack/config/kinds.toml")
+SETTINGS = ("src/phdtrack/config/presets.toml", "src/phdtrack/config/registry.toml")
 # Not part of what a page shows.
 APART = ("experiments/made.py", "experiments/__main__.py")
 # Pages whose words and figures are put together by hand, from what a command prints.

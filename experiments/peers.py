@@ -153,7 +153,7 @@ def work(job: PeerRun) -> PeerScores:
         Case(job.sequence, info, truth, read_detections(found)),
         job.seed,
     )
-    online = evaluate(truth, run.online.take(run.online.confirmed), frames=info.frames)
+    online = evaluate(truth, run.online.select(run.online.confirmed), frames=info.frames)
     return PeerScores(online, evaluate(truth, run.corrected, frames=info.frames), 1e3 * run.seconds)
 
 

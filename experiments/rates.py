@@ -134,7 +134,7 @@ def hota(job: RateRun) -> tuple[float, float]:
         scorer = importlib.import_module("score_more").MoreScorer(Path(place))
         found = []
         for tracks in outputs:
-            left = tracks.take(np.isin(tracks.frame, kept))
+            left = tracks.select(np.isin(tracks.frame, kept))
             numbered = replace(left, frame=np.searchsorted(kept, left.frame) + 1)
             write_tracks(Path(place) / "tracks.txt", numbered)
             found.append(

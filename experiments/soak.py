@@ -36,7 +36,7 @@ import numpy as np
 from phdtrack.cli.checkpoint import Checkpoint
 from phdtrack.cli.inputs import Inputs
 from phdtrack.cli.run_directory import KNOWN, LOG, claim
-from phdtrack.config import build_kinds, load
+from phdtrack.config import build_classes, load
 from phdtrack.detect import make_detector
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Watch
@@ -244,7 +244,7 @@ def live(hours: float, per_hour: int, folder: Path) -> list[Hour]:
     )
 
     def make(info: SequenceInfo) -> Making:
-        return Making(_Given(), build_kinds(load(None, ["associate.history=60"]), info), info)
+        return Making(_Given(), build_classes(load(None, ["associate.history=60"]), info), info)
 
     watching = Watching(0, per_hour)
     source = _Replayed(round(hours * per_hour), watching.frame)

@@ -25,7 +25,7 @@ from experiments.common import ROOT, Options, in_parallel, need_data, table, wri
 from phdtrack import config
 from phdtrack.detect import make_detector
 from phdtrack.detect.change import ChangeDetector
-from phdtrack.detect.registry import Rescaled, study, working_width
+from phdtrack.detect.detectors import Rescaled, study, working_width
 from phdtrack.devices import Detector
 from phdtrack.formats import read_tracks
 from phdtrack.formats.write import DetectionsWriter
@@ -266,7 +266,7 @@ def _by_masks(name: str, out: Path) -> list[object]:
     folder = need_data() / "video" / name
     if name == TREE:
         rows = read_tracks(out / "tracks.csv")
-        early = rows.take(rows.frame <= EMPTY)
+        early = rows.select(rows.frame <= EMPTY)
         return [
             name,
             "–",

@@ -24,8 +24,8 @@ from phdtrack.formats import find_seqinfo, read_detections, read_tracks, read_tr
 from phdtrack.label import LabelStore
 from phdtrack.label.samples import shuffled
 from phdtrack.report import Annotator
-from phdtrack.scene.files import read_scene
 from phdtrack.scene.mixture import place_map
+from phdtrack.scene.scene_file import read_scene
 from phdtrack.simulate import DetectorModel, Look, Rendered, make_scene
 from phdtrack.video import open_source
 

@@ -34,7 +34,7 @@ def crossing(late: int = 1) -> tuple[Detections, ...]:
         boxes = np.vstack([cars.xyxy, people.xyxy])
         score = np.concatenate([cars.confidence, people.confidence])
         frames.append(
-            Detections(boxes, score, label).take(np.random.default_rng(k).permutation(len(label)))
+            Detections(boxes, score, label).select(np.random.default_rng(k).permutation(len(label)))
         )
     return tuple(frames)
 
@@ -50,7 +50,7 @@ def rows_of(rows: Tracks, label: int, frames) -> np.ndarray:
     """Frame, box and confidence of a class, and the box of its detection, in an order that
     identities do not decide.
     """
-    rows = rows.take(rows.class_id == label)
+    rows = rows.select(rows.class_id == label)
     used = [
         frames[f - 1].xyxy[d] if d >= 0 else np.zeros(4)
         for f, d in zip(rows.frame, rows.detection, strict=True)
@@ -74,7 +74,7 @@ def test_each_class_is_tracked_as_if_it_were_alone_and_no_identity_changes_class
     tracker, online = run(frames, **settings)
     corrected = tracker.tracks()
     for label in (CAR, PERSON):
-        mine = [found.take(found.class_id == label) for found in frames]
+        mine = [found.select(found.class_id == label) for found in frames]
         alone, rows = run(mine, **settings)
         for a, b in ((online, rows), (corrected, alone.tracks())):
             np.testing.assert_array_equal(rows_of(a, label, frames), rows_of(b, label, mine))
@@ -87,7 +87,7 @@ def test_without_classes_tracks_go_from_one_object_to_another_and_one_class_is_a
     rows = run([Detections.of(found.xyxy, found.confidence) for found in frames], preset="mot15")[
         0
     ].tracks()
-    rows = rows.take(rows.detection >= 0)
+    rows = rows.select(rows.detection >= 0)
     label = np.array(
         [frames[f - 1].class_id[d] for f, d in zip(rows.frame, rows.detection, strict=True)]
     )

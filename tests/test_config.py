@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from phdtrack import config
-from phdtrack.cli.settings import as_toml, meanings, toml_value
-from phdtrack.config.kinds import FROM_SEQUENCE, SECTIONS, record
+from phdtrack.cli.show_settings import as_toml, meanings, toml_value
 from phdtrack.config.presets import PRESETS
+from phdtrack.config.registry import FROM_SEQUENCE, SECTIONS, record
 from phdtrack.errors import InputError
 from phdtrack.models import UniformBirth
 from phdtrack.types import SequenceInfo
@@ -216,7 +216,7 @@ def test_the_last_named_wins(tmp_path):
     assert config.load(path).as_dict()["sensor"]["detection_probability"] == 0.8
 
 
-# Kinds
+# ClassSettings
 
 
 @pytest.mark.parametrize("kind", SECTIONS["filter"])

@@ -1,4 +1,4 @@
-"""Kinds of filters and extractions: which one wins, what it brings along, and what does not go
+"""ClassSettings of filters and extractions: which one wins, what it brings along, and what does not go
 together.
 """
 

@@ -11,8 +11,8 @@ from phdtrack.associate.graph import GraphMatching
 from phdtrack.associate.labels import Labelled
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.cli.options import TrackingOptions
-from phdtrack.cli.settings import chosen, scene_settings
-from phdtrack.config.kinds import SECTIONS
+from phdtrack.cli.show_settings import chosen, scene_settings
+from phdtrack.config.registry import SECTIONS
 from phdtrack.errors import InputError
 from phdtrack.models.scene import SceneBirth, SceneClutter
 from phdtrack.scene import (

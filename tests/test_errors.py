@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phdtrack.config.kinds import SECTIONS, record
+from phdtrack.config.registry import SECTIONS, record
 from phdtrack.errors import (
     Count,
     InputError,

@@ -17,7 +17,7 @@ from phdtrack.files import MAX_SIZE, SIZE_LIMIT, load, read_json, read_toml, rea
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.formats.truth import ignoring
 from phdtrack.ground import read_camera
-from phdtrack.ground.read import _MATLAB
+from phdtrack.ground.camera_files import _MATLAB
 from phdtrack.ground.terrain import read_terrain
 from phdtrack.live.zones import read_places
 from phdtrack.scene import read_scene

@@ -414,7 +414,7 @@ def test_every_preset_finds_two_people(preset: str):
     tracks = tracker.tracks()
     assert set(tracks.identity) == {1, 2}
     for name in (1, 2):
-        mine = tracks.take(tracks.identity == name)
+        mine = tracks.select(tracks.identity == name)
         truth = np.array([boxes(f - 1)[mine.detection[-1]] for f in mine.frame])
         late = mine.frame > mine.frame[0] + (10 if slow else -1)
         assert np.abs(mine.xyxy - truth)[late].mean() < (2 if slow else 8)
@@ -459,14 +459,14 @@ def test_ctrl_c_comes_after_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
         signal.raise_signal(signal.SIGINT)
         return real(*args)
 
-    monkeypatch.setattr("phdtrack.classes.pipeline.advance", interrupted)
+    monkeypatch.setattr("phdtrack.multiclass.pipeline.advance", interrupted)
     with pytest.raises(KeyboardInterrupt):
         tracker.update(np.array([[10.0, 10, 30, 60]]))
     assert tracker.state.number == 1
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     called: list[int] = []
     monkeypatch.setattr(
-        "phdtrack.classes.pipeline.advance",
+        "phdtrack.multiclass.pipeline.advance",
         lambda *args: (signal.raise_signal(signal.SIGINT), real(*args))[1],
     )
     before = signal.signal(signal.SIGINT, lambda number, _: called.append(number))

@@ -92,7 +92,7 @@ def test_a_flag_is_rejected_and_a_walker_is_not(section):
         Tracks.concatenate([*feed(tracker, scans()), tracker.flush()])
         for tracker in (plain, learned)
     ]
-    without, held = (r.take(r.confirmed) for r in rows)
+    without, held = (r.select(r.confirmed) for r in rows)
     assert np.count_nonzero(near(without, FLAG)) > 20, "without the scene the flag becomes a track"
     assert not near(held, FLAG).any()
     assert np.count_nonzero(near(held, WALK)) > 50
@@ -114,7 +114,7 @@ def test_a_walker_who_enters_where_no_false_alarms_are_is_reported_at_once(secti
     )
     first = [int(rows.frame[rows.confirmed & near(rows, WALK)].min()) for rows in (slow, early)]
     assert first[1] == slow.frame[near(slow, WALK)].min() < first[0]
-    assert not near(early.take(early.confirmed), FLAG).any()
+    assert not near(early.select(early.confirmed), FLAG).any()
     assert equal(trackers[0].tracks(), trackers[1].tracks())
 
 

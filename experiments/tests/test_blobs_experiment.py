@@ -77,4 +77,4 @@ def test_identities_after_a_blob_are_kept_apart(case: Case) -> None:
     for leave, identity in expected.items():
         assert leaving(case, named(case, identity)) == leave
     rows = named(case, true)
-    assert leaving(case, rows.take(~late | (true == 1))) == "lost"
+    assert leaving(case, rows.select(~late | (true == 1))) == "lost"

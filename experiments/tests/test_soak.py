@@ -21,7 +21,7 @@ from experiments.soak import HEIGHT, WIDTH, _Replayed, boxes
 from phdtrack.cli.inputs import NO_PICTURE, Inputs
 from phdtrack.cli.job import Job, about, run
 from phdtrack.cli.run_directory import claim
-from phdtrack.config import build_kinds, load
+from phdtrack.config import build_classes, load
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.types import Detections, Frame, SequenceInfo
 from phdtrack.video import VideoSource
@@ -87,7 +87,7 @@ def tracked(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
     inputs = Inputs(
         info, VideoSource(info, read), given, "soak", "soak", pictures=False, again=False
     )
-    kinds = build_kinds(load(None, ["associate.history=120"]), info)
+    kinds = build_classes(load(None, ["associate.history=120"]), info)
     job = Job(inputs, kinds, {}, {"source": "soak"}, replace(about("soak"), versions=()))
     assert run(job, claim(folder / "run", overwrite=False, name="soak")).stop is None
 
@@ -102,7 +102,7 @@ def watched(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
             done.set()
 
     def make(info: SequenceInfo) -> Making:
-        return Making(given, build_kinds(load(None, ["associate.history=10"]), info), info)
+        return Making(given, build_classes(load(None, ["associate.history=10"]), info), info)
 
     camera = Camera(
         "soak", _Replayed(ENDED, through), make, CameraSettings(folder / "camera", video=0.0)

@@ -128,7 +128,7 @@ def advance(
     if detections.observed:
         if learning:
             weighted = learning.with_scores(
-                learned, model, explanation.detections.take(given.usable)
+                learned, model, explanation.detections.select(given.usable)
             )
         else:
             weighted = model

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
-from phdtrack.classes import Kinds, Lanes, forget, given_rows, remember
 from phdtrack.detect.convert import LeftOut, as_detections, doubtful
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
+from phdtrack.multiclass import ClassSettings, ClassPipelines, forget, input_rows, remember
 from phdtrack.protocols import AnyStages
 from phdtrack.types import I8, LAST_FRAME, STILL, Detections, SequenceInfo, Step, Tracks
 
@@ -66,7 +66,7 @@ class Tracker:
         ``m09-mht``, ``d14``, or on the ground plane ``e13``.
     settings : a TOML file with settings.
     stages : one's own model, filter, extractor and associator, instead of all of the above but fps
-        and seed; `Kinds` where classes have stages of their own.
+        and seed; `ClassSettings` where classes have stages of their own.
     **sections : settings by section, as ``sensor={"detection_probability": 0.9}``;
         ``classes={"together": [[2, 7]]}`` for a detector's classes, which are tracked apart.
 
@@ -84,7 +84,7 @@ class Tracker:
         filter: str | Mapping[str, Any] = "",
         preset: str = "",
         settings: str | Path | None = None,
-        stages: AnyStages | Kinds | None = None,
+        stages: AnyStages | ClassSettings | None = None,
         **sections: Mapping[str, Any],
     ) -> None:
         if not 0 < _number(fps, "Tracker(fps=…)") < math.inf:
@@ -113,15 +113,15 @@ class Tracker:
                 loaded = config.overlay(loaded, {"associate": {"history": HISTORY}}, "Tracker")
             width, height = _size(frame_size)
             self._frame_size = f"{width}x{height}"
-            stages = config.build_kinds(loaded, SequenceInfo(width, height, float(fps)))
+            stages = config.build_classes(loaded, SequenceInfo(width, height, float(fps)))
         elif sections or settings is not None or preset or filter:
             raise InputError(
                 "stages are complete; settings beside them would be ignored", where="Tracker"
             )
-        if isinstance(stages, Kinds):
+        if isinstance(stages, ClassSettings):
             self.kinds = stages
         else:
-            self.kinds = Kinds(stages)
+            self.kinds = ClassSettings(stages)
         self.stages = self.kinds.usual
         self.fps = float(fps)
         self.seed = int(seed)
@@ -131,7 +131,7 @@ class Tracker:
         """Forget everything: the next frame is the first of a new sequence, and identities start at
         1 again.
         """
-        self._lanes = Lanes(self.kinds, self.seed)
+        self._lanes = ClassPipelines(self.kinds, self.seed)
         self._step: Step | None = None
         self._left_out = LeftOut()
         self._kept = dict[int, I8]()
@@ -193,7 +193,7 @@ class Tracker:
 
             refuse_standing(self.stages.model)
         if len(kept) < len(found):
-            given = found.take(kept)
+            given = found.select(kept)
         else:
             given = found
         with uninterrupted():
@@ -209,7 +209,7 @@ class Tracker:
             self._left_out = self._left_out.with_more(left_out)
             remember(self._kept, number, kept)
         forget(self._kept, self._lanes.oldest if self._kept else 0)
-        return given_rows(self._step.tracks, self._kept)
+        return input_rows(self._step.tracks, self._kept)
 
     def warm_up(self) -> None:
         """Compile the kernels that these settings use, or load those that are kept, now and not in
@@ -220,7 +220,7 @@ class Tracker:
         some ten seconds, which the logger ``phdtrack`` says, and that of each later process one or
         two.
         """
-        lanes = Lanes(self.kinds, self.seed)
+        lanes = ClassPipelines(self.kinds, self.seed)
         rng = np.random.default_rng(0)
         n = 8
         size = np.array(
@@ -242,7 +242,7 @@ class Tracker:
             label = np.resize([*self.kinds.only, *self.kinds.own] or [0], len(box))
             found = Detections.of(box, rng.uniform(0.3, 1.0, len(box)), label)
             with uninterrupted():
-                lanes.advance(found.take(self.kinds.taken(found)[0]), k, k / self.fps)
+                lanes.advance(found.select(self.kinds.taken(found)[0]), k, k / self.fps)
         # A camera that moves; models on the ground take no warp.
         with uninterrupted(), suppress(InputError):
             lanes.advance(
@@ -254,7 +254,7 @@ class Tracker:
         lanes.flush()
         lanes.finish()
         # More than may be in one place.
-        self.kinds.taken(found.take(np.zeros(self.kinds.limits.max_in_one_place + 1, np.int64)))
+        self.kinds.taken(found.select(np.zeros(self.kinds.limits.max_in_one_place + 1, np.int64)))
 
     def _say_what_is_forgotten(self, number: int, time: float) -> None:
         """Once, where nobody has asked for it."""
@@ -280,13 +280,13 @@ class Tracker:
         """At the end, the online rows that the output delay holds back: a later `update` gives them
         again.
         """
-        return given_rows(self._lanes.flush(), self._kept)
+        return input_rows(self._lanes.flush(), self._kept)
 
     def tracks(self) -> Tracks:
         """The corrected tracks of everything so far: short ones left out, gaps bridged, identities
         of their own.
         """
-        return given_rows(self._lanes.finish(), self._kept)
+        return input_rows(self._lanes.finish(), self._kept)
 
     @property
     def highest(self) -> int:
@@ -356,7 +356,7 @@ class Tracker:
         if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != _SAVED:
             raise InputError("this is no state of a tracker", where="load_state_dict")
         dim = self.stages.model.motion.dim
-        lanes = Lanes(self.kinds, self.seed)
+        lanes = ClassPipelines(self.kinds, self.seed)
         size = saved["frame_size"]
         problem = ""
         if not isinstance(saved["dim"], int) or saved["dim"] != dim:
@@ -408,7 +408,7 @@ class FinalTracks:
         self._tracker = tracker
         self._lag = lag
         self._every = every
-        self._lanes: Lanes | None = None
+        self._lanes: ClassPipelines | None = None
         self._follow()
 
     def _follow(self) -> None:
@@ -451,7 +451,7 @@ class FinalTracks:
     def _up_to(self, frame: int) -> Tracks:
         """The rows after those that were given, up to a frame, with lasting identities."""
         rows = self._tracker.tracks()
-        fresh = rows.take((rows.frame > self._last) & (rows.frame <= frame))
+        fresh = rows.select((rows.frame > self._last) & (rows.frame <= frame))
         votes: dict[int, Counter[int]] = {
             one: Counter() for one in np.unique(fresh.identity).tolist()
         }
@@ -477,7 +477,7 @@ class FinalTracks:
 
 def _places(rows: Tracks) -> Iterator[tuple[int, int, int]]:
     """Frame, identity and detection of each row that rests on one."""
-    seen = rows.take(rows.detection >= 0)
+    seen = rows.select(rows.detection >= 0)
     return zip(seen.frame.tolist(), seen.identity.tolist(), seen.detection.tolist(), strict=True)
 
 

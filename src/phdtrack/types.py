@@ -120,7 +120,7 @@ class Detections:
     def __len__(self) -> int:
         return len(self.xyxy)
 
-    def take(self, index: I8 | Bool) -> Detections:
+    def select(self, index: I8 | Bool) -> Detections:
         """The detections at ``index`` (integers or a mask), in that order."""
         if self.covariance is None:
             cov = None
@@ -151,7 +151,7 @@ class DetectionTable:
     def at(self, number: int) -> Detections:
         """The detections of frame ``number``; empty where the table has none."""
         lo, hi = np.searchsorted(self.frame, [number, number + 1])
-        return self.detections.take(np.arange(lo, hi))
+        return self.detections.select(np.arange(lo, hi))
 
     @property
     def last(self) -> int:
@@ -396,7 +396,7 @@ class Estimates:
     def __len__(self) -> int:
         return len(self.weight)
 
-    def take(self, index: I8 | Bool) -> Estimates:
+    def select(self, index: I8 | Bool) -> Estimates:
         """The states at ``index`` (integers or a mask), in that order."""
         state = np.ascontiguousarray(self.state[:, index])
         if len(self.tag):
@@ -506,13 +506,13 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def take(self, index: I8 | Bool) -> Tracks:
+    def select(self, index: I8 | Bool) -> Tracks:
         """The rows at ``index`` (integers or a mask), in that order."""
         return Tracks(*(getattr(self, name)[index] for name in self.__slots__))
 
     def __getitem__(self, index: int | slice | I8 | Bool) -> Tracks:
         """The rows at ``index``: one, a slice, integers or a mask, in that order."""
-        return self.take(np.atleast_1d(np.arange(len(self))[index]))
+        return self.select(np.atleast_1d(np.arange(len(self))[index]))
 
     def to_dataframe(self) -> Any:
         """A pandas DataFrame, a row each, with left, top, right, bottom for boxes. `InputError`

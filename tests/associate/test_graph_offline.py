@@ -46,7 +46,7 @@ def test_a_later_frame_undoes_a_false_link():
     assert (8, 7) not in links(result.states[9])
     assert (9, 7) in links(result.states[9])
     assert set(result.tracks.identity) == {1}
-    ninth = result.tracks.take(result.tracks.frame == 9)
+    ninth = result.tracks.select(result.tracks.frame == 9)
     assert ninth.detection.tolist() == [-1], "the false alarm is no part of the corrected track"
     np.testing.assert_allclose(ninth.xyxy, [[180, 180, 220, 220]], atol=1)
 
@@ -54,7 +54,7 @@ def test_a_later_frame_undoes_a_false_link():
 def test_with_a_delay_the_correction_is_in_the_online_rows_too():
     online = run(matching_of(output_delay=2), false_hypothesis()).online
     assert set(online.identity[(online.detection >= 0) & (online.frame != 9)]) == {1}
-    ninth = online.take((online.frame == 9) & (online.detection >= 0))
+    ninth = online.select((online.frame == 9) & (online.detection >= 0))
     assert ninth.identity.tolist() != [1]
     assert not ninth.confirmed.any()
 
@@ -124,7 +124,7 @@ def test_an_occluded_target_is_bridged(gap: int):
     assert tracks.confirmed.all()
     assert ((tracks.confidence > 0) & (tracks.confidence <= 1)).all()
     bare = run(matching_of(miss=0.9, loose_end_distance=6.0, bridge_gaps=False), frames).tracks
-    assert same(bare, tracks.take(tracks.detection >= 0))
+    assert same(bare, tracks.select(tracks.detection >= 0))
 
 
 @pytest.mark.parametrize(("shortest", "rows"), [(5, 0), (4, 6)])

@@ -44,7 +44,7 @@ def test_every_state_is_given_once_and_identities_are_unique(seed: int, delay: i
         output_delay=delay, window=span, min_track_length=3, miss=0.7, loose_end_distance=5.0
     )
     online = run(matching, frames).online
-    seen = online.take(online.detection >= 0)
+    seen = online.select(online.detection >= 0)
     wanted = [(k, i) for k, f in enumerate(frames, 1) for i in range(len(f))]
     assert sorted(zip(seen.frame.tolist(), seen.detection.tolist(), strict=True)) == wanted
     assert len({*zip(online.frame.tolist(), online.identity.tolist(), strict=True)}) == len(online)
@@ -106,7 +106,7 @@ def test_confirmed_from_the_fifth_state_on_or_by_what_follows():
 
 def test_a_missed_target_is_continued_for_as_long_as_coast():
     online = run(matching_of(max_coast=0.3), [*moving(10), *[states([])] * 20], PATIENT).online
-    coasted = online.take(online.detection < 0)
+    coasted = online.select(online.detection < 0)
     assert coasted.frame.tolist() == list(range(11, 18)), "0.3 s at 25 Hz are 7 frames"
     assert set(coasted.identity) == {1}
     assert coasted.confirmed.all()
@@ -140,8 +140,8 @@ def test_a_delay_bridges_the_gap_that_it_sees_the_end_of():
     """The rows lie where the corrected tracks have them, not where the motion model alone would."""
     swerving = [*moving(10), *[states([])] * 4, *moving(8, start=(150.0, 206.0))]
     result = run(matching_of(output_delay=6, miss=0.9, loose_end_distance=6.0), swerving)
-    filled = result.online.take(result.online.detection < 0)
-    corrected = result.tracks.take(result.tracks.detection < 0)
+    filled = result.online.select(result.online.detection < 0)
+    corrected = result.tracks.select(result.tracks.detection < 0)
     assert filled.frame.tolist() == corrected.frame.tolist() == [11, 12, 13, 14]
     assert (np.diff(filled.xyxy[:, 1]) > 0).all(), "drawn to where it was seen again"
     np.testing.assert_allclose(filled.xyxy, corrected.xyxy, atol=1e-9)

@@ -56,7 +56,7 @@ def furthest(rows: Tracks, plain: Tracks) -> np.ndarray:
     """How far right the target of each row has been up to its frame."""
     pairs = zip(rows.identity, rows.frame, strict=True)
     return np.array(
-        [centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs]
+        [centre(plain.select((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs]
     )
 
 
@@ -110,7 +110,7 @@ def test_corrected_tracks_begin_where_they_are_believed(inner):
     # enters to its end.
     assert np.count_nonzero(tracks.frame == 1) == 2
     assert centre(tracks).min() == pytest.approx(280 - 5 * 24, abs=2)
-    out = tracks.take(tracks.identity == 1)
+    out = tracks.select(tracks.identity == 1)
     np.testing.assert_allclose(centre(out), 205 + 5 * np.arange(len(out)), atol=0.5)
     assert same(tracks, without_false_tracks(plain, STRIP))
     assert associator.measurements(result.states[-1]).z.shape == (4, 100)
@@ -157,12 +157,12 @@ def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_obj
     names = {who: name for name, who in enumerate(sorted({rows[k][1] for k in wanted}), start=1)}
     found = without_false_tracks(table(rows), STRIP, shortest)
     assert same(
-        found, replace(table(rows).take(np.array(wanted, np.int64)), identity=found.identity)
+        found, replace(table(rows).select(np.array(wanted, np.int64)), identity=found.identity)
     )
     assert found.identity.tolist() == [names[rows[k][1]] for k in wanted]
     mixed = [*range(len(rows))]
     order.shuffle(mixed)
-    other = without_false_tracks(table(rows).take(np.array(mixed, np.int64)), STRIP, shortest)
+    other = without_false_tracks(table(rows).select(np.array(mixed, np.int64)), STRIP, shortest)
     assert same(Tracks.concatenate([other]), Tracks.concatenate([found]))
 
 
@@ -179,10 +179,10 @@ class Given:
         return 0
 
     def extend(self, state, estimates, z, number, dt, model):
-        return number, self.rows.take(self.rows.frame == number - self.delay)
+        return number, self.rows.select(self.rows.frame == number - self.delay)
 
     def flush(self, state, model):
-        return self.rows.take(self.rows.frame > state - self.delay)
+        return self.rows.select(self.rows.frame > state - self.delay)
 
     def finish(self, state, model):
         return self.rows
@@ -197,5 +197,5 @@ def test_online_the_same_rows_are_believed(rows, delay):
     found = result.online
     assert same(found, tracks, "confirmed")
     assert same(
-        replace(found.take(found.confirmed), identity=result.tracks.identity), result.tracks
+        replace(found.select(found.confirmed), identity=result.tracks.identity), result.tracks
     )

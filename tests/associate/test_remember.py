@@ -59,7 +59,7 @@ def test_what_is_remembered_is_as_if_all_were():
     part = run(matching_of(output_delay=3, history=5.0), ended)
     assert same(whole.online, part.online)
     assert whole.tracks.frame.min() < 60
-    recent = whole.tracks.take(whole.tracks.frame > 460)
+    recent = whole.tracks.select(whole.tracks.frame > 460)
     assert part.tracks.frame.min() > 460
     assert len(recent) == len(part.tracks) > 200
     np.testing.assert_array_equal(recent.xyxy, part.tracks.xyxy)

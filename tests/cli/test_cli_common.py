@@ -20,7 +20,7 @@ from phdtrack import __version__
 from phdtrack.cli.app import COMMANDS, guarded
 from phdtrack.cli.options import TrackingOptions
 from phdtrack.cli.output import _SHOWN, Output, progress
-from phdtrack.cli.settings import chosen
+from phdtrack.cli.show_settings import chosen
 from phdtrack.errors import InputError
 
 

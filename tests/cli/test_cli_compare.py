@@ -19,7 +19,7 @@ from cli_runner import phdtrack, refused, walkers
 
 from experiments.common import uniform_density
 from phdtrack.compare import runs
-from phdtrack.metrics.errors import SUMS
+from phdtrack.metrics.causes import SUMS
 from phdtrack.scene import LearnedDensity, Scene, write_scene
 
 FILES = {"report.html", "compare.csv", "runs.csv", "compare.json"}

@@ -16,18 +16,18 @@ import numpy as np
 import pytest
 
 from phdtrack.associate.graph import GraphMatching
-from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs, expected
 from phdtrack.cli.job import Job, Outcome, run
 from phdtrack.cli.observers import RunObserver
-from phdtrack.cli.settings import detections_needed
+from phdtrack.cli.show_settings import detections_needed
 from phdtrack.config import build, load
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.filters.none import Raw
 from phdtrack.formats import DetectionsWriter, read_detections, read_tracks
 from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth
+from phdtrack.multiclass import ClassSettings
 from phdtrack.protocols import Model, Stages
 from phdtrack.report import About, Annotator
 from phdtrack.tracker import FinalTracks, Tracker
@@ -106,7 +106,7 @@ def job() -> Job:
     clip = Clip()
     return Job(
         inputs=Inputs(INFO, clip, Looker(), "clip", "looker", pictures=True, again=True),
-        kinds=Kinds(stages),
+        kinds=ClassSettings(stages),
         configuration={"filter": {"name": "none"}},
         read={"source": "clip", "detector": "looker"},
         about=About("clip", "phdtrack track clip"),
@@ -310,7 +310,7 @@ def test_an_observer_gets_the_corrected_tracks_of_a_camera_from_the_beginning(
     short = replace(job.kinds.usual, associator=GraphMatching(history=0.4))
     camera = replace(job.inputs, source=Clip(once=True), again=False)
     run(
-        replace(job, kinds=Kinds(short), inputs=camera, observers=(Keeper(),), video=False),
+        replace(job, kinds=ClassSettings(short), inputs=camera, observers=(Keeper(),), video=False),
         directory,
     )
     (whole,) = given
@@ -332,7 +332,7 @@ def test_the_video_may_be_smaller_than_the_pictures(
     assert [image.shape for image in pictures] == [(height, width, 3)] * FRAMES
     tracks = read_tracks(directory.file(rundir.TRACKS if again else rundir.ONLINE))
     # At the beginning online tracks are not confirmed, and drawn faintly.
-    tracks = tracks.take(tracks.confirmed & ~tracks.predicted & (tracks.frame > 5))
+    tracks = tracks.select(tracks.confirmed & ~tracks.predicted & (tracks.frame > 5))
     assert len(tracks) > 10
     for number, corners in zip(tracks.frame.tolist(), tracks.xyxy, strict=True):
         left, top, right, bottom = np.round(corners * width / 96).astype(int)

@@ -12,7 +12,7 @@ from detect_scenes import Scene
 from phdtrack.arrays import iou
 from phdtrack.detect import make_detector
 from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
-from phdtrack.detect.registry import knowledge, restore
+from phdtrack.detect.detectors import knowledge, restore
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame, Image

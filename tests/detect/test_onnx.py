@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper
 
 import networks
+from phdtrack.detect.detectors import class_names, detector_parameters, looked_at, make_detector
 from phdtrack.detect.onnx import OnnxDetector
-from phdtrack.detect.registry import class_names, detector_parameters, looked_at, make_detector
 from phdtrack.errors import InputError
 from phdtrack.types import Frame
 

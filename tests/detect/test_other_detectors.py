@@ -11,7 +11,7 @@ import pytest
 
 from phdtrack.arrays import iou
 from phdtrack.detect import DETECTORS, detector_parameters, make_detector
-from phdtrack.detect.registry import Masked, Rescaled, working_width
+from phdtrack.detect.detectors import Masked, Rescaled, working_width
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame, SequenceInfo
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from phdtrack.detect.change import ChangeDetector
+from phdtrack.detect.detectors import Rescaled, knowledge, pose_of, restore, study, unsuited
 from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
-from phdtrack.detect.registry import Rescaled, knowledge, pose_of, restore, study, unsuited
 from phdtrack.devices import Planar, planes_of
 from phdtrack.kernels.planes import luma, smooth
 from phdtrack.types import STILL, Frame, Image

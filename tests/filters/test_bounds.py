@@ -8,7 +8,7 @@ from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans, Mixture
 from phdtrack.models import PlaneSensor
-from phdtrack.models.scores import ScoreOdds
+from phdtrack.models.detection_scores import ScoreOdds
 from phdtrack.smooth.smoothing import Smoothing
 
 WRONG = {

@@ -13,7 +13,7 @@ from phd_cases import crowd, seen_by, with_births, world
 from composed import gaussian_view
 from phdtrack.arrays import reused
 from phdtrack.filters import ParticleCPHD, ParticlePHD
-from phdtrack.filters.blocks import in_blocks
+from phdtrack.filters.particle_blocks import in_blocks
 from phdtrack.kernels.particle_models import SensorNumbers
 from phdtrack.models import (
     BoxMotion,

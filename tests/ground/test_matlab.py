@@ -14,7 +14,7 @@ import pytest
 from scipy.io import savemat
 
 from phdtrack.errors import InputError
-from phdtrack.ground import MatrixForm, read, read_camera
+from phdtrack.ground import MatrixForm, camera_files, read_camera
 
 FORM = MatrixForm(unit="cm", vectors="column")
 
@@ -34,14 +34,14 @@ def saved(folder: Path, content: bytes | None = None) -> Path:
 def test_a_reader_that_crashes_takes_nothing_along(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(read, "_MATLAB", "import os; os.abort()")
+    monkeypatch.setattr(camera_files, "_MATLAB", "import os; os.abort()")
     with pytest.raises(InputError, match=r"h\.mat: .*SciPy cannot read \(it crashed\)"):
         read_camera(saved(tmp_path), FORM)
 
 
 def test_a_reader_that_hangs_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(read, "_MATLAB", "import time; time.sleep(60)")
-    monkeypatch.setattr(read, "_SECONDS", 0.2)
+    monkeypatch.setattr(camera_files, "_MATLAB", "import time; time.sleep(60)")
+    monkeypatch.setattr(camera_files, "_SECONDS", 0.2)
     with pytest.raises(InputError, match="SciPy cannot read"):
         read_camera(saved(tmp_path), FORM)
 

@@ -14,7 +14,7 @@ from camera_cases import BARREL, MATRIX, PLANE, ROTATION, TRANSLATION, hills, po
 from phdtrack.devices import Camera
 from phdtrack.errors import InputError
 from phdtrack.ground import MatrixForm, OpenCVLens, fit_homography, read_camera
-from phdtrack.ground.read import calibration_text
+from phdtrack.ground.camera_files import calibration_text
 
 PIXEL = np.array([[100.0, 400, 700, 380], [350, 420, 560, -500]])
 VECTOR = cv2.Rodrigues(ROTATION)[0].ravel()

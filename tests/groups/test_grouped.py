@@ -11,9 +11,9 @@ from group_cases import people
 from phdtrack import pipeline
 from phdtrack.config import build, build_groups, load, overlay
 from phdtrack.groups.clusters import Grouping
+from phdtrack.groups.group_stages import REACH, GroupStages, carriers, mixture_of
 from phdtrack.groups.life_cycle import GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pairs import Pairs
-from phdtrack.groups.pipeline import REACH, GroupStages, carriers, mixture_of
 from phdtrack.types import Detections, SequenceInfo
 
 STAGES = GroupStages(Grouping(), life_cycle=GroupLifeCycle(hold_time=0.0))

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.filters.blocks import cut
 from phdtrack.filters.extract import _heavy_enough
-from phdtrack.kernels.blocks import block_moments, claim, reaching, summarise, unreached
+from phdtrack.filters.particle_blocks import cut
 from phdtrack.kernels.mixtures import Candidates, Gaussians, em_step, nothing_known, one_block
+from phdtrack.kernels.particle_blocks import block_moments, claim, reaching, summarise, unreached
 from phdtrack.models import BoxSensor
 from phdtrack.types import F8
 from reference import clustering_twin as twin

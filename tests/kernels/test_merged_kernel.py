@@ -153,7 +153,7 @@ def test_targets_are_continued_as_the_plain_definition_says(kind: str) -> None:
         )
         weight = rng.uniform(0.5, 1.2, len(usable))
         boxes = found.detections.xyxy[usable]
-        estimates = Estimates(state, covariance, weight, boxes, detection).take(
+        estimates = Estimates(state, covariance, weight, boxes, detection).select(
             rng.random(len(usable)) < 0.7
         )
         after = rule.advance(before, found, estimates, model, 1.0)

@@ -20,7 +20,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from page_cases import session
-from phdtrack.label.page import label_app
+from phdtrack.label.label_page import label_app
 from phdtrack.live.serving import listen, serve
 address = listen(port={port})
 print(address.url, flush=True)
@@ -39,7 +39,7 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
     import cv2
 
     from phdtrack.label import LabelStore
-    from phdtrack.label.page import Session
+    from phdtrack.label.label_page import Session
     from phdtrack.label.suggestions import Background, Suggestion
     from phdtrack.types import Detections, DetectionTable, SequenceInfo
 

@@ -11,7 +11,7 @@ from starlette.testclient import TestClient
 
 from phdtrack.errors import InputError
 from phdtrack.label import DRAWN, LabelStore
-from phdtrack.label.page import label_app
+from phdtrack.label.label_page import label_app
 from phdtrack.live.serving import COOKIE, POLICY, Guard, listen
 from phdtrack.types import Detections, DetectionTable
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phdtrack.config import build_kinds, load
+from phdtrack.config import build_classes, load
 from phdtrack.live import engine
 from phdtrack.live.checkpoint import LOST, NAME
 from phdtrack.live.engine import Camera, CameraSettings, Making
@@ -34,7 +34,7 @@ def run(folder: Path, *, sets: tuple[str, ...] = (), delay: int = 0, every: floa
     def make(info: SequenceInfo) -> Making:
         found = load(None, ["associate.history=10", f"associate.output_delay={delay}", *sets])
         fixed = {"filter.kind": found.kind("filter")}
-        return Making(detect, build_kinds(found, info), info, delay=delay, fixed=fixed)  # type: ignore[arg-type]
+        return Making(detect, build_classes(found, info), info, delay=delay, fixed=fixed)  # type: ignore[arg-type]
 
     def detect(frame: Any) -> Detections:
         left = int(frame.image[0, 0, 0])

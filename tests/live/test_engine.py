@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from camera_server import SIDE, WALL, Scripted, until
 
-from phdtrack.config import build_groups, build_kinds, load
-from phdtrack.groups.pipeline import OnlineGroups
+from phdtrack.config import build_groups, build_classes, load
+from phdtrack.groups.group_stages import OnlineGroups
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Event, Maps, Watch
 from phdtrack.live.outputs import stamp
@@ -63,7 +63,7 @@ def camera(
         found = load(config, ["associate.history=10", f"associate.output_delay={delay}"])
         return Making(
             detector or Bright(),
-            build_kinds(found, info),
+            build_classes(found, info),
             info,
             delay,
             {"filter.kind": found.kind("filter")},
@@ -364,7 +364,7 @@ def test_groups_on_the_ground_are_events(tmp_path: Path) -> None:
             "camera.region=[-30,-30,30,30]",
         ]
     )
-    kinds = build_kinds(found, info)
+    kinds = build_classes(found, info)
     groups = OnlineGroups(build_groups(found, kinds.usual), kinds.usual, first=8)
     tracker = Tracker(stages=kinds, fps=5.0)
     told = []
@@ -375,7 +375,7 @@ def test_groups_on_the_ground_are_events(tmp_path: Path) -> None:
         mixture = groups.mixture(tracker.state.intensity, tracker.step)
         told += [
             Event.of_group(one)
-            for one in groups.events(mixture, rows.take(rows.confirmed), k, k / 5)
+            for one in groups.events(mixture, rows.select(rows.confirmed), k, k / 5)
         ]
     assert [(event.kind, event.place) for event in told] == [("group", "appear")] * 2
     # Numbers of an earlier run are not given again.

@@ -18,10 +18,10 @@ from camera_server import CameraServer, Scripted, until, walker
 from starlette.testclient import TestClient
 
 from browsers import faults, needs_browser
-from phdtrack.config import build_kinds, load
+from phdtrack.config import build_classes, load
 from phdtrack.detect import make_detector
 from phdtrack.live.engine import Camera, CameraSettings, Making
-from phdtrack.live.page import METRICS, live_app
+from phdtrack.live.live_page import METRICS, live_app
 from phdtrack.live.sources import LiveSource
 from phdtrack.live.zones import Place, read_places, write_places
 from phdtrack.types import Detections, SequenceInfo
@@ -52,7 +52,7 @@ def camera(server: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> It
 
     def make(info: SequenceInfo) -> Making:
         return Making(
-            make_detector("change", min_area=0.005), build_kinds(load(preset="mot15"), info), info
+            make_detector("change", min_area=0.005), build_classes(load(preset="mot15"), info), info
         )
 
     one = Camera(
@@ -80,7 +80,7 @@ def test_pictures_videos_and_maps_are_blurred(tmp_path: Path) -> None:
 
     def make(info: SequenceInfo) -> Making:
         found = Detections.of(np.array([[40.0, 30, 104, 94]]))
-        return Making(lambda frame: found, build_kinds(load(preset="mot15"), info), info)
+        return Making(lambda frame: found, build_classes(load(preset="mot15"), info), info)
 
     def rough(data: bytes) -> float:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
@@ -167,7 +167,7 @@ def test_boxes_that_were_not_used_are_counted(tmp_path: Path) -> None:
     def make(info: SequenceInfo) -> Making:
         found = Detections.of(np.array([[40.0, 30, 64, 94], [90, 30, 114, 94], [5, 5, 5, 5]]))
         return Making(
-            lambda frame: found, build_kinds(load(None, ["limits.max_detections=1"]), info), info
+            lambda frame: found, build_classes(load(None, ["limits.max_detections=1"]), info), info
         )
 
     one = Camera("gate", source := Scripted(last=20), make, CameraSettings(tmp_path, video=0))

@@ -30,7 +30,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from page_cases import session
-from phdtrack.label.page import label_app
+from phdtrack.label.label_page import label_app
 from phdtrack.live import serving
 scale, host, folder = float(sys.argv[3]), sys.argv[4], Path(sys.argv[2])
 for name in ("SILENT", "HEADER", "BODY", "ANSWER"):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from metric_cases import perfect, random_case, tracks_of, truth_of
 
 from phdtrack.metrics import evaluate, explain
-from phdtrack.metrics.errors import CAUSES, FALSE, PLACES
+from phdtrack.metrics.causes import CAUSES, FALSE, PLACES
 from phdtrack.types import Detections, DetectionTable
 
 seeds = st.integers(0, 2**32 - 1)

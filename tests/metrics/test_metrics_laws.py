@@ -56,7 +56,7 @@ def test_order_of_rows_does_not_matter(seed: int, coarse: bool):
     if coarse:
         truth, tracks = integral(truth, tracks)
     shuffled = evaluate(
-        take(truth, rng.permutation(len(truth))), tracks.take(rng.permutation(len(tracks)))
+        take(truth, rng.permutation(len(truth))), tracks.select(rng.permutation(len(tracks)))
     )
     assert shuffled.as_dict() == evaluate(truth, tracks).as_dict()
 
@@ -80,7 +80,7 @@ def test_a_part_is_scored_as_if_it_were_all(seed: int):
     truth, tracks = random_case(np.random.default_rng(seed), objects=6, distractors=True)
     last = int(truth.frame.max(initial=4))
     part = evaluate(truth, tracks, first=4, frames=last).as_dict()
-    cut = take(truth, truth.frame >= 4), tracks.take(tracks.frame >= 4)
+    cut = take(truth, truth.frame >= 4), tracks.select(tracks.frame >= 4)
     early = replace(cut[0], frame=cut[0].frame - 3), replace(cut[1], frame=cut[1].frame - 3)
     assert part == evaluate(*early, frames=last - 3).as_dict()
 
@@ -163,7 +163,7 @@ def test_nothing_at_all_is_null_in_json():
 
 def test_rows_after_the_last_frame_are_left_out():
     truth, tracks = random_case(np.random.default_rng(8), frames=40)
-    early = evaluate(take(truth, truth.frame <= 20), tracks.take(tracks.frame <= 20), frames=20)
+    early = evaluate(take(truth, truth.frame <= 20), tracks.select(tracks.frame <= 20), frames=20)
     assert evaluate(truth, tracks, frames=20).as_dict() == early.as_dict()
 
 

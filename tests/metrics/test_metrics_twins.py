@@ -63,7 +63,7 @@ def laid(truth: Truth, tracks: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarr
 @settings(max_examples=60, deadline=None)
 def test_scores_of_whole_tracks_agree_with_every_mapping_tried(seed: int):
     truth, tracks = random_case(np.random.default_rng(seed), frames=6, objects=3, side=60)
-    tracks = tracks.take(tracks.identity < 1003)
+    tracks = tracks.select(tracks.identity < 1003)
     if len(truth) or len(tracks):
         ours = evaluate(truth, tracks)
         close(

@@ -16,9 +16,17 @@ from phdtrack import Tracker, config
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD, MHT, ParticlePHD
 from phdtrack.kernels.box import following
-from phdtrack.kernels.scores import LOGIT, PROBABILITY, RANK, Line, chained, newton, scaled
+from phdtrack.kernels.detection_scores import (
+    LOGIT,
+    PROBABILITY,
+    RANK,
+    Line,
+    chained,
+    newton,
+    scaled,
+)
 from phdtrack.models.clutter import ScoredClutter, UniformClutter
-from phdtrack.models.scores import BOUND, EVEN_LOGIT, KEPT, ScoreOdds, ScoresSeen
+from phdtrack.models.detection_scores import BOUND, EVEN_LOGIT, KEPT, ScoreOdds, ScoresSeen
 from phdtrack.protocols import Model
 from phdtrack.types import Detections, SequenceInfo
 
@@ -272,7 +280,7 @@ def found_with(low: float) -> tuple[list[set[int]], Tracker]:
         boxes = [[100 + 3.0 * k, 100, 140 + 3.0 * k, 200], [500 - 2.0 * k, 300, 540 - 2.0 * k, 400]]
         score = np.array([0.9 if k < 25 else low, low])
         rows = tracker.update(Detections(np.array(boxes), score, np.zeros(2, np.int64)))
-        seen.append(set(rows.take(rows.confirmed).identity.tolist()))
+        seen.append(set(rows.select(rows.confirmed).identity.tolist()))
     return seen, tracker
 
 

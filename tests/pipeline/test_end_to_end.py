@@ -30,7 +30,7 @@ def scores(filter_name: str, seeds=(1, 5), frames: int = 150) -> tuple[Scores, S
                 [tracker.update(scene.detections.at(k)) for k in range(1, frames + 1)]
             )
             corrected.append(evaluate(scene.truth, tracker.tracks(), frames=frames))
-            online.append(evaluate(scene.truth, rows.take(rows.confirmed), frames=frames))
+            online.append(evaluate(scene.truth, rows.select(rows.confirmed), frames=frames))
     return pool(corrected), pool(online)
 
 

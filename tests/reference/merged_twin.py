@@ -32,7 +32,7 @@ def members(rule, model, targets, detections):
     rows = np.lexsort(model.sensor.boxes(targets.state).T[::-1])
     out = [()] * len(blobs)
     for b, several in zip(
-        blobs, _in_order(rule, model, targets.take(rows), detections.take(blobs)), strict=True
+        blobs, _in_order(rule, model, targets.select(rows), detections.select(blobs)), strict=True
     ):
         out[b] = tuple(rows[list(several)].tolist())
     return out
@@ -72,7 +72,7 @@ def _in_order(rule, model, targets, detections):
             blobs[blob],
             boxes[several],
             spread[several] + EDGES @ noise @ EDGES.T,
-            targets.take(several),
+            targets.select(several),
         )
         return fit + np.log(np.maximum(r[several] * p[several], TINY)).sum()
 

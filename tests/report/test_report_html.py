@@ -15,7 +15,7 @@ from report_runs import run_record
 
 from phdtrack.cli.evaluate import BY_TRAJECTORY
 from phdtrack.metrics import evaluate
-from phdtrack.metrics.errors import SUMS
+from phdtrack.metrics.causes import SUMS
 from phdtrack.report import About, Recorder, report_html
 from phdtrack.report.pages import score_meanings
 from phdtrack.types import SequenceInfo, Tracks, Truth

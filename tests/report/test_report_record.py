@@ -125,8 +125,8 @@ def test_of_a_source_without_an_end_figures_are_of_all_frames_and_charts_of_the_
     )
     # Somebody is in several parts, and counts once.
     for first in (1, 11, 21):
-        recorder.count(rows.take((rows.frame >= first) & (rows.frame < first + 10)))
-    record = recorder.record(rows.take(rows.frame > 25), About(tracking_seconds=3.0))
+        recorder.count(rows.select((rows.frame >= first) & (rows.frame < first + 10)))
+    record = recorder.record(rows.select(rows.frame > 25), About(tracking_seconds=3.0))
     assert len(record) == len(record.track_count) == 10
     whole = record.whole
     assert (whole.frames, whole.objects, whole.rows) == (30, 2, 60)

@@ -33,7 +33,7 @@ def test_a_track_that_was_cut_is_one_again(missing: int, seed: int):
         max_gap_uncertainty=100.0,
     )
     assert names(tracks) == {1: list(range(1, 61)), 2: list(range(1, 61))}
-    gap = tracks.take((tracks.identity == 1) & (tracks.frame > 20) & (tracks.frame <= 20 + missing))
+    gap = tracks.select((tracks.identity == 1) & (tracks.frame > 20) & (tracks.frame <= 20 + missing))
     assert (gap.detection == -1).all()
     centre = gap.xyxy[:, :2] + gap.xyxy[:, 2:]
     np.testing.assert_allclose(
@@ -101,7 +101,7 @@ def test_two_who_cross_out_of_sight_keep_their_ways(rng):
     ]
     tracks = smoothed(pieces)
     for identity in (1, 2):
-        own = tracks.take(tracks.identity == identity)
+        own = tracks.select(tracks.identity == identity)
         x = 0.5 * (own.xyxy[:, 0] + own.xyxy[:, 2])
         speed = np.diff(x) / np.diff(own.frame)
         assert np.all(speed > 2) or np.all(speed < -2)
@@ -201,7 +201,7 @@ def test_a_second_track_that_begins_before_the_first_ends_is_the_same(seed: int)
     assert names(tracks) == {1: list(range(1, 61)), 2: list(range(1, 61))}
     # Of the two boxes the first track's is taken up to the middle of the time they share, frame 28,
     # the second's from 29 on.
-    own = tracks.take(tracks.identity == 1)
+    own = tracks.select(tracks.identity == 1)
     assert own.detection[own.frame == 28].item() == 0
     assert own.detection[own.frame == 29].item() == 1
     assert len(names(smoothed(pieces, max_overlap_time=0))) == 3
@@ -253,7 +253,7 @@ def at_the_border(
     stays = {n: np.array([320.0, 100.0, 40.0, 80.0]) for n in range(1, 61)}
     tracks, measurements = sequence([seen, stays], 60, MODEL)
     low, high = known
-    return tracks.take(
+    return tracks.select(
         (tracks.identity == 2) | (tracks.frame >= low) & (tracks.frame <= high)
     ), measurements
 
@@ -275,15 +275,15 @@ def test_a_track_goes_on_to_the_border_by_detections_that_are_left(
     smoothing = Smoothing(**({"max_continuation": 1.0, "frame_size": (640.0, 480.0)} | settings))
     given, measurements = at_the_border(*lost)
     tracks = smoothing.smooth(given, measurements, MODEL)
-    own = tracks.take(tracks.xyxy[:, 1] > 150)
+    own = tracks.select(tracks.xyxy[:, 1] > 150)
     assert set(own.frame.tolist()) == set(range(first, last + 1)) - set(lost)
     assert len(set(own.identity.tolist())) == 1
     # The new rows are the detections themselves, and no other track has them.
-    new = own.take((own.frame < 15) | (own.frame > 40))
+    new = own.select((own.frame < 15) | (own.frame > 40))
     assert (new.xyxy[:, 0] >= 0).all()
     assert (new.xyxy[:, 2] <= 640).all()
     assert (new.detection == 0).all()
-    assert len(tracks.take(tracks.xyxy[:, 1] < 150)) == 60
+    assert len(tracks.select(tracks.xyxy[:, 1] < 150)) == 60
 
 
 def test_what_another_track_rests_on_carries_nobody_on():

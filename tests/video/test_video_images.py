@@ -9,7 +9,7 @@ from video_clips import picture
 
 from phdtrack.errors import InputError
 from phdtrack.video import open_source
-from phdtrack.video.files import frame_numbers
+from phdtrack.video.reading import frame_numbers
 
 
 def save(folder: Path, names: list[str]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from video_clips import picture
 
 from phdtrack.errors import InputError
-from phdtrack.video import VideoWriter, open_source, writer
+from phdtrack.video import VideoWriter, open_source, writing
 
 
 def test_it_is_what_browsers_play(clip: Path) -> None:
@@ -131,6 +131,6 @@ def test_bad_places_sizes_and_rates_and_a_closed_file(tmp_path: Path) -> None:
 
 
 def test_a_missing_encoder_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(writer, "ENCODERS", ("no_such_encoder", "neither_this"))
+    monkeypatch.setattr(writing, "ENCODERS", ("no_such_encoder", "neither_this"))
     with pytest.raises(InputError, match=r"tried no_such_encoder, neither_this.*pip install"):
         VideoWriter(tmp_path / "x.mp4", 64, 48, 25)

@@ -71,7 +71,7 @@ class Identities(NamedTuple):
     confidence: F8
     state: F8
 
-    def take(self, index: I8 | Bool) -> Identities:
+    def select(self, index: I8 | Bool) -> Identities:
         """Those at ``index``."""
         return Identities._make(column[..., index] for column in self)
 
@@ -322,7 +322,7 @@ class GraphMatching(Checked):
         confidence = np.where(missing, 0.0, known.confidence)
         if self.bridge_gaps and absent.any():
             bridging = (absent & (after >= 0)).nonzero()[0]
-            parts += _bridged(known.take(bridging), after[bridging], history, place, model)
+            parts += _bridged(known.select(bridging), after[bridging], history, place, model)
             going = (absent & (known.confidence > 0)).nonzero()[0]
             ahead = known.state[:, going]
             if len(moment.warp):
@@ -356,7 +356,7 @@ class GraphMatching(Checked):
             ]
         )
         track = np.concatenate((given.track, identity))[oldest - given.first :]
-        given = Given(oldest, track, known.take(known.last >= oldest), returned, used)
+        given = Given(oldest, track, known.select(known.last >= oldest), returned, used)
         return replace(state, given=given), Tracks.concatenate(parts)
 
     def _confirmed(self, known: Identities, onward: I8, gain: F8, first: int, end: int) -> Bool:
@@ -474,7 +474,7 @@ def _claimed(given: Given, moment: Moment, onward: I8, gain: F8) -> tuple[I8, Id
         going.confidence[at] = np.minimum(1.0, e.weight[state])
     return (
         identity,
-        going.join(_new(identity[fresh], e.take(fresh), first + fresh)),
+        going.join(_new(identity[fresh], e.select(fresh), first + fresh)),
         given.used + len(fresh),
     )
 

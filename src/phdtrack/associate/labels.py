@@ -77,7 +77,7 @@ class LabelTable(NamedTuple):
             return self
         fresh = LabelTable.of(np.unique(tag))
         both = LabelTable._make(np.concatenate(pair) for pair in zip(self, fresh, strict=True))
-        return both.take(np.argsort(both.label, kind="stable"))
+        return both.select(np.argsort(both.label, kind="stable"))
 
     def counting(self, moments: Sequence[Moment]) -> LabelTable:
         """The table with the states of the moments counted, whose labels all have a row."""
@@ -96,7 +96,7 @@ class LabelTable(NamedTuple):
         """(n,) the rows of the labels."""
         return self.label.searchsorted(labels)
 
-    def take(self, index: I8 | Bool) -> LabelTable:
+    def select(self, index: I8 | Bool) -> LabelTable:
         """The rows at ``index``."""
         return LabelTable._make(column[index] for column in self)
 
@@ -260,7 +260,7 @@ class Labelled(Checked):
         identity[fresh] = state.used + 1 + np.arange(len(fresh))
         sure[place] = confirmed
         order = np.argsort(identity[place])
-        e = estimates.take(shown[order])
+        e = estimates.select(shown[order])
         name = identity[place[order]]
         rows = Tracks.of(moment.number, name, e.xyxy, e.weight, e.detection, confirmed[order])
         table = state.table._replace(identity=identity, confirmed=sure)
@@ -308,7 +308,7 @@ class Labelled(Checked):
         history = state.history.since(since)
         if history is state.history and kept.all():
             return state
-        return replace(state, history=history, table=state.table.take(kept))
+        return replace(state, history=history, table=state.table.select(kept))
 
 
 def _one_each(e: Estimates) -> Estimates:
@@ -329,4 +329,4 @@ def _one_each(e: Estimates) -> Estimates:
     _, first = np.unique(e.tag[heaviest], return_index=True)
     if len(first) == len(e):
         return single
-    return single.take(np.sort(heaviest[first]))
+    return single.select(np.sort(heaviest[first]))

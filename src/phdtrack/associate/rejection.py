@@ -97,7 +97,7 @@ class FalseTrackRejection(Checked, Generic[A]):
         confirmed = rows.confirmed.copy()
         for frame in np.unique(rows.frame):
             here = np.flatnonzero(rows.frame == frame)
-            state, confirmed[here] = self._confirmed(state, rows.take(here))
+            state, confirmed[here] = self._confirmed(state, rows.select(here))
         return state, replace(rows, confirmed=confirmed)
 
     def _confirmed(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Bool]:
@@ -154,6 +154,6 @@ def without_false_tracks(
         logs[seen] = ratio.log(to_cxcywh(tracks.xyxy[rows[seen]]))[0]
         confirmed = np.minimum.accumulate(logs) < 0
         kept[rows] = confirmed & (np.count_nonzero(confirmed[seen]) >= min_track_length)
-    left = tracks.take(kept)
+    left = tracks.select(kept)
     _, name = np.unique(left.identity, return_inverse=True)
     return replace(left, identity=name.astype(np.int64) + 1)

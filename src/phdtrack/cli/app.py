@@ -62,7 +62,7 @@ COMMANDS = {
 # Seconds after which a thread gives the interpreter to one that waits: those of a run need it
 # often, each time briefly.
 _SWITCH = 1e-5
-_MODULES = {"demo": "simulate", "detect": "track", "learn": "label"}
+_MODULES = {"demo": "simulate", "detect": "track", "learn": "label", "settings": "show_settings"}
 _SUMMARY = (
     "From a video, or any detector's boxes, to tracks: a filter of random finite sets between"
     " detector and identities."

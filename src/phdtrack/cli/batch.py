@@ -40,7 +40,7 @@ from phdtrack.files import load, read_json, whole
 from phdtrack.parallel import Failed, on_ray, outcomes
 from phdtrack.report import write_run
 from phdtrack.video import open_source
-from phdtrack.video.files import SUFFIXES
+from phdtrack.video.reading import SUFFIXES
 
 # In a folder of a run what decided it, and in that of the batch what came of it.
 DOCUMENT = "batch.json"

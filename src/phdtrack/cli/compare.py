@@ -21,7 +21,7 @@ from phdtrack.cli.job import about
 from phdtrack.cli.options import option
 from phdtrack.cli.output import PACE, Output, progress
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.cli.settings import detections_needed, only_classes, scene_settings
+from phdtrack.cli.show_settings import detections_needed, only_classes, scene_settings
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.results import Results
 from phdtrack.compare.runs import RunResult

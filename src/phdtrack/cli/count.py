@@ -27,7 +27,7 @@ from phdtrack.cli.observers import Report, RunObserver
 from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, number, progress
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.cli.settings import chosen, scene_settings
+from phdtrack.cli.show_settings import chosen, scene_settings
 from phdtrack.cli.track import finish, prepare
 from phdtrack.errors import InputError, shown
 from phdtrack.files import read_toml, whole, write_text
@@ -109,7 +109,7 @@ def count(
             where=shown(source.source),
             cure="Say phdtrack live, which counts, too.",
         )
-    settings = chosen(options, scene_settings(to.scene), detector=source.looked_by)
+    settings = chosen(options, scene_settings(to.scene), detector=source.observed_by)
     job = prepare(source, options, settings, to, video=False)
     if job.inputs.pictures:
         video = replace(job.inputs.source)
@@ -321,7 +321,7 @@ class CountObserver(RunObserver):
             for frame in replace(self._video, first=self._first):
                 if frame.number > self._last:
                     break
-                rows = self._tracks.take(
+                rows = self._tracks.select(
                     np.arange(
                         *np.searchsorted(self._tracks.frame, [frame.number, frame.number + 1])
                     )
@@ -363,7 +363,7 @@ class CountObserver(RunObserver):
             middle = middle or next(iter(replace(self._video, first=self._first)))
             image = middle.image
             at = round(middle.time * self._info.fps) + 1
-            near = near.take(np.abs(near.frame - at) <= 2)
+            near = near.select(np.abs(near.frame - at) <= 2)
         elif width and height:
             image = np.full((height, width, 3), 46, np.uint8)
         if image.size:

@@ -29,7 +29,7 @@ from phdtrack.formats import (
 )
 from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
-from phdtrack.metrics.errors import FALSE, PLACES
+from phdtrack.metrics.causes import FALSE, PLACES
 from phdtrack.report.pages import score_meanings
 from phdtrack.types import I8, Tracks, Truth
 
@@ -177,7 +177,7 @@ def per_class(
             given = given
         else:
             given = ignoring(given, asked.ignore)
-        mine = found.take(label == word)
+        mine = found.select(label == word)
         if len(mine) or len(given):
             scores[name] = score(given, mine, frames=frames, iou=iou)
     output.say(

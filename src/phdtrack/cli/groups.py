@@ -25,7 +25,7 @@ from phdtrack.cli.observers import Draw, Report, RunObserver
 from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, progress
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.cli.settings import chosen, scene_settings
+from phdtrack.cli.show_settings import chosen, scene_settings
 from phdtrack.cli.track import finish, prepare
 from phdtrack.config import Settings, build_groups, ground_model
 from phdtrack.devices import Camera
@@ -34,9 +34,9 @@ from phdtrack.files import load
 from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
 from phdtrack.groups.clusters import Grouping, polygon_area
+from phdtrack.groups.group_stages import GroupFrame, GroupStages, carriers, mixture_of, on_ground
 from phdtrack.groups.life_cycle import LifeCycleState
 from phdtrack.groups.pairs import Pairs
-from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, mixture_of, on_ground
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
@@ -256,7 +256,7 @@ class GroupObserver(RunObserver):
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
         """Find and write the groups of all frames among the corrected tracks."""
         # What stopped the run may have come between tracking a frame and taking it in here.
-        known = tracks.take(np.isin(tracks.frame, [seen.number for seen in self._seen]))
+        known = tracks.select(np.isin(tracks.frame, [seen.number for seen in self._seen]))
         grouping = self._groups.grouping
         if isinstance(grouping, Pairs):
             found = self._by_pairs(known, grouping)

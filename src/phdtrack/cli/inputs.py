@@ -27,7 +27,7 @@ from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import counted, progress
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.registry import (
+from phdtrack.detect.detectors import (
     class_names,
     frames_up_to,
     frames_walked,
@@ -46,7 +46,7 @@ from phdtrack.formats.stream import stream_detections
 from phdtrack.live.sources import LiveSource, check_address, named
 from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import VideoSource, open_source
-from phdtrack.video.files import endless
+from phdtrack.video.reading import endless
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
 TABLES = (".txt", ".csv", ".tsv", ".json", ".jsonl", ".xml", ".parquet")
@@ -187,7 +187,7 @@ def open_inputs(
         # Wrong settings are found before anything is opened.
         _detector(given, parameters, given.max_width or 0)
         source = _video(given, part)
-        width = working_width(given.looked_by, given.max_width, source.info)
+        width = working_width(given.observed_by, given.max_width, source.info)
         detector = _detector(given, parameters, width)
         name = shown(given.source)
         names = class_names(detector)
@@ -196,7 +196,7 @@ def open_inputs(
             source,
             detector,
             name,
-            given.looked_by,
+            given.observed_by,
             True,
             again,
             names=names,
@@ -275,7 +275,7 @@ def _streamed(given: SourceOptions) -> Inputs:
             else:
                 source.problem = ""
             for number in np.unique(table.frame).tolist():
-                waiting[number] = table.detections.take(
+                waiting[number] = table.detections.select(
                     np.flatnonzero(inside & (table.frame == number))
                 )
                 for frame in frames_up_to(number, last, fps):
@@ -445,7 +445,7 @@ def _detector(given: SourceOptions, parameters: dict[str, Any], max_width: int) 
             "expected a video, and by its name this is a table", where=given.source, cure=cure
         )
     try:
-        return make_detector(given.looked_by, max_width=max_width, mask=given.mask, **parameters)
+        return make_detector(given.observed_by, max_width=max_width, mask=given.mask, **parameters)
     except InputError as error:
         # In the user's own words: detector.min_area, not the record of settings that refused the
         # value.

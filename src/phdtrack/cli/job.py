@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numba.core import event
 
-from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
 from phdtrack.cli.checkpoint import Checkpoint, source_of
@@ -32,14 +31,15 @@ from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expe
 from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.cli.settings import confirmation
+from phdtrack.cli.show_settings import confirmation
 from phdtrack.detect import BACKGROUND
-from phdtrack.detect.registry import prepared, unsuited
+from phdtrack.detect.detectors import prepared, unsuited
 from phdtrack.devices import bgr_of, planes_of, size_of
 from phdtrack.errors import InputError, interrupted, needed, shown
 from phdtrack.files import return_memory, write_text
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter
 from phdtrack.models import PlaneSensor
+from phdtrack.multiclass import ClassSettings
 from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import (
     About,
@@ -95,7 +95,7 @@ class Job:
     annotated video in pixels, at most; 0: as the source."""
 
     inputs: Inputs
-    kinds: Kinds
+    kinds: ClassSettings
     configuration: dict[str, object]
     read: dict[str, object]
     about: About
@@ -557,7 +557,7 @@ class _DrawnOnce:
     def _write(self, rows: Tracks) -> None:
         frame, seen = self._waiting.popleft()
         self._video.write(
-            self._draw(frame, seen, rows.take(rows.frame == frame.number)), frame.time
+            self._draw(frame, seen, rows.select(rows.frame == frame.number)), frame.time
         )
 
     def __enter__(self) -> Self:
@@ -635,7 +635,7 @@ def _annotated(
         yield draw(
             frame,
             one,
-            tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1]))),
+            tracks.select(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1]))),
         )
 
 

@@ -30,7 +30,7 @@ from phdtrack.cli.checkpoint import source_of
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, ahead, comes_again, open_inputs, write_detected
 from phdtrack.cli.options import PageOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
-from phdtrack.cli.settings import chosen
+from phdtrack.cli.show_settings import chosen
 from phdtrack.config import Settings, build, load
 from phdtrack.devices import size_of
 from phdtrack.errors import InputError
@@ -41,9 +41,9 @@ from phdtrack.formats.markup import Annotated as AnnotatedFile
 from phdtrack.formats.markup import read_annotated
 from phdtrack.label import LabelStore
 from phdtrack.label.exchange import Exchange, frames_of
+from phdtrack.label.learn_scene import SceneTraining
 from phdtrack.label.samples import LONGEST, Marks, clip, shuffled
 from phdtrack.label.suggestions import Background, Evidence, Suggestion, suggest
-from phdtrack.label.training import SceneTraining
 from phdtrack.report.pages import render
 from phdtrack.scene import write_scene
 from phdtrack.types import DetectionTable, Frame, Image, SequenceInfo
@@ -85,7 +85,7 @@ def label(
 
     Meanwhile a tracker looks for detections that may be false and suggests them. Ctrl-C ends.
     """
-    from phdtrack.label.page import Session, label_app
+    from phdtrack.label.label_page import Session, label_app
     from phdtrack.live.serving import listen, serve
 
     output = Output()
@@ -266,7 +266,7 @@ def _kept_detections(
         str(source.mask or ""),
         source.fps,
     ]
-    name, _, network = source.looked_by.partition(":")
+    name, _, network = source.observed_by.partition(":")
     more += [source_of(network)] if network else []
     digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]
     path = labels.with_name(f"{labels.stem}.{name}-{digest}.detections.csv")
@@ -408,7 +408,7 @@ def learn(
             cure="Say --overwrite, or choose another --out",
         )
     settings = chosen(
-        TrackingOptions(preset=preset, config=config, sets=sets), detector=source.looked_by
+        TrackingOptions(preset=preset, config=config, sets=sets), detector=source.observed_by
     )
     found = to_label(source, settings.values("detector"), file, output)
     stretch = range(first, min(last or found.info.frames, found.info.frames) + 1)

@@ -28,9 +28,9 @@ from phdtrack.cli import signals
 from phdtrack.cli.inputs import refuse
 from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, TrackingOptions, option, size
 from phdtrack.cli.output import Output, counted
-from phdtrack.cli.settings import chosen, scene_settings
+from phdtrack.cli.show_settings import chosen, scene_settings
 from phdtrack.config import Settings
-from phdtrack.detect.registry import class_names, make_detector, working_width
+from phdtrack.detect.detectors import class_names, make_detector, working_width
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
@@ -208,7 +208,7 @@ class Maker:
         found = self.settings()
         looking = self.looking(found, working_width(self.detector, self.max_width, info))
         names = class_names(looking)
-        kinds = config.build_kinds(found, info, names, frozenset(names) if names else None)
+        kinds = config.build_classes(found, info, names, frozenset(names) if names else None)
         ground = isinstance(kinds.usual.model.sensor, PlaneSensor)
         parts = [(part, own) for part, own in found.as_dict().items() if part != "preset"]
         values = {f"{part}.{name}": one for part, own in parts for name, one in own.items()}
@@ -294,7 +294,7 @@ class _Server:
 
     def start(self, cameras: Sequence[Camera], output: Output) -> None:
         """Answer from now on."""
-        from phdtrack.live.page import live_app
+        from phdtrack.live.live_page import live_app
         from phdtrack.live.serving import serve
 
         threading.Thread(

@@ -201,7 +201,7 @@ class SourceOptions:
     detect_again: DetectAgain = False
 
     @property
-    def looked_by(self) -> str:
+    def observed_by(self) -> str:
         """The name of the detector; empty where the detections are given."""
         if self.detections:
             return ""

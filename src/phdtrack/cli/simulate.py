@@ -19,7 +19,7 @@ from phdtrack.cli.inputs import ahead
 from phdtrack.cli.job import run
 from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
-from phdtrack.cli.settings import chosen
+from phdtrack.cli.show_settings import chosen
 from phdtrack.cli.track import prepare
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import write_text
@@ -147,7 +147,7 @@ def demo(
         options = TrackingOptions(filter_name, seed=seed, truth=truth)
         source = SourceOptions(str(movie))
         job = prepare(
-            source, options, chosen(options, detector=source.looked_by), RunOptions(), video=True
+            source, options, chosen(options, detector=source.observed_by), RunOptions(), video=True
         )
         outcome = outcomes[title] = run(job, place)
         output.warn(outcome.warnings)

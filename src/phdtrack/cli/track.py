@@ -26,7 +26,7 @@ from phdtrack.cli.options import (
     option,
 )
 from phdtrack.cli.output import Output, counted
-from phdtrack.cli.settings import chosen, scene_settings
+from phdtrack.cli.show_settings import chosen, scene_settings
 from phdtrack.config import Settings, load
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
@@ -58,7 +58,7 @@ def track(
     warning. Ctrl-C finishes what was done so far; --resume goes on from there, or from where a run
     was killed.
     """
-    settings = chosen(options, scene_settings(to.scene, camera_motion), detector=source.looked_by)
+    settings = chosen(options, scene_settings(to.scene, camera_motion), detector=source.observed_by)
     job = prepare(source, options, settings, to, video=video, frames=frames)
     finish(output, replace(job, every=checkpoint_every, video_size=video_size), to)
 
@@ -134,7 +134,7 @@ def prepare(
     else:
         truth = read_truth(options.truth)
     if source.detections is None:
-        settings = config.for_detector(settings, source.looked_by)
+        settings = config.for_detector(settings, source.observed_by)
     if truth is None:
         last = 0
     else:
@@ -152,7 +152,7 @@ def prepare(
     inputs = replace(inputs, files=files)
     if not inputs.again and settings.build("associate").history == 0:
         settings = config.overlay(settings, {"associate": {"history": REMEMBERED}}, "a camera")
-    kinds = config.build_kinds(settings, inputs.info, inputs.names, inputs.classes, moving=True)
+    kinds = config.build_classes(settings, inputs.info, inputs.names, inputs.classes, moving=True)
     if truth is not None and frames:
         counts = (truth.frame >= inputs.source.first) & (
             truth.frame <= (inputs.source.last or truth.frame)

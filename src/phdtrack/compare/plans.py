@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 
 from phdtrack import config
 from phdtrack.config import Settings
-from phdtrack.config.kinds import SECTIONS
+from phdtrack.config.registry import SECTIONS
 from phdtrack.detect import detector_parameters, make_detector
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.registry import working_width
+from phdtrack.detect.detectors import working_width
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.formats import find_seqinfo, read_detections, read_truth
 from phdtrack.metrics.matching import check_threshold

@@ -23,7 +23,7 @@ from phdtrack.compare.statistics import (
     widest,
 )
 from phdtrack.files import write_text
-from phdtrack.metrics.errors import SUMS
+from phdtrack.metrics.causes import SUMS
 from phdtrack.parallel import Failed
 from phdtrack.report.pages import flattened, lines, render, score_meanings
 from phdtrack.report.record import About

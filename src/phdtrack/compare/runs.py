@@ -32,10 +32,9 @@ import numpy as np
 
 import phdtrack
 from phdtrack import config
-from phdtrack.classes import Lanes
 from phdtrack.compare.plans import Case, Plan, Run
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.registry import class_names, frames_walked, looked_at, make_detector, study
+from phdtrack.detect.detectors import class_names, frames_walked, looked_at, make_detector, study
 from phdtrack.errors import InputError
 from phdtrack.files import json_value, write_text
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
@@ -43,13 +42,14 @@ from phdtrack.metrics import Scores, explain
 from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import build
 from phdtrack.metrics.scores import scores_of
+from phdtrack.multiclass import ClassPipelines
 from phdtrack.parallel import Failed, outcomes
 from phdtrack.report.pages import write_run
 from phdtrack.report.record import known_mean
 from phdtrack.simulate import add_clutter
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
-from phdtrack.video.files import SUFFIXES
+from phdtrack.video.reading import SUFFIXES
 
 Advance = Callable[[int], object]
 RUN = "run.json"
@@ -411,15 +411,15 @@ def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float, float | Non
         detector = ""
     settings = config.for_detector(run.method.settings, detector)
     table = given.table
-    kinds = config.build_kinds(
+    kinds = config.build_classes(
         settings, given.info, table.names, np.unique(table.detections.class_id).tolist()
     )
-    tracker = Lanes(kinds, run.seed)
+    tracker = ClassPipelines(kinds, run.seed)
     seconds = list[float]()
     evidence = list[float]()
     for number, moment in zip(given.numbers.tolist(), given.times.tolist(), strict=True):
         found = table.at(number)
-        step = tracker.advance(found.take(kinds.wanted(found)), number, moment)
+        step = tracker.advance(found.select(kinds.wanted(found)), number, moment)
         seconds.append(sum(step.seconds))
         evidence.append(step.info.log_evidence)
     mean = known_mean(np.array(evidence))

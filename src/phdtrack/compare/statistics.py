@@ -14,7 +14,7 @@ from phdtrack.compare.plans import Case, Run
 from phdtrack.compare.runs import Comparison, RunResult
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.metrics import Scores, pool
-from phdtrack.metrics.errors import SUMS
+from phdtrack.metrics.causes import SUMS
 from phdtrack.parallel import Failed
 
 LEVEL = 0.95

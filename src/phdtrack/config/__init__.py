@@ -3,14 +3,14 @@ name.
 """
 
 from phdtrack.config.build import build, build_groups, for_detector, ground_model
-from phdtrack.config.classes import build_kinds
+from phdtrack.config.class_settings import build_classes
 from phdtrack.config.settings import Settings, load, overlay
 
 __all__ = [
     "Settings",
     "build",
     "build_groups",
-    "build_kinds",
+    "build_classes",
     "for_detector",
     "ground_model",
     "load",

@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phdtrack.config.kinds import CameraSettings, SceneClutterSettings
+from phdtrack.config.registry import CameraSettings, SceneClutterSettings
 from phdtrack.config.settings import Settings, load, overlay
 from phdtrack.errors import InputError
 from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area
@@ -21,7 +21,7 @@ from phdtrack.types import SequenceInfo
 
 if TYPE_CHECKING:
     from phdtrack.devices import Camera
-    from phdtrack.groups.pipeline import GroupStages
+    from phdtrack.groups.group_stages import GroupStages
     from phdtrack.scene import Scene
 
 Size = tuple[float, float]
@@ -120,7 +120,7 @@ def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupSt
     default.
     """
     from phdtrack.groups.clusters import Grouping
-    from phdtrack.groups.pipeline import GroupStages
+    from phdtrack.groups.group_stages import GroupStages
 
     read = settings.kind("groups") == "intensity" and "min_weight" not in settings.given.get(
         "groups", {}

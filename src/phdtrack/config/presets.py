@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from phdtrack.config.kinds import FITTING, first_kind
+from phdtrack.config.registry import FITTING, first_kind
 from phdtrack.files import read_toml
 
 Table = Mapping[str, Mapping[str, Any]]

@@ -26,7 +26,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from phdtrack.config.kinds import (
+from phdtrack.config.presets import PRESETS, values_of
+from phdtrack.config.registry import (
     DECIDING,
     FITTING,
     MIXTURES,
@@ -38,7 +39,6 @@ from phdtrack.config.kinds import (
     record,
     settable,
 )
-from phdtrack.config.presets import PRESETS, values_of
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import read_toml
 
@@ -210,7 +210,7 @@ def _of_classes(entry: _Entry) -> list[_Entry]:
 
 
 def _replaced(settings: Settings, entries: Iterable[_Entry]) -> Settings:
-    """``settings`` with the entries in place of theirs. Kinds come first: they decide which other
+    """``settings`` with the entries in place of theirs. ClassSettings come first: they decide which other
     names there are.
     """
     given = {section: dict(values) for section, values in settings.given.items()}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.detect.registry import (
+    from phdtrack.detect.detectors import (
         BACKGROUND,
         DETECTORS,
         TableDetector,
@@ -32,4 +32,4 @@ __all__ = [
     "restore",
 ]
 
-__getattr__, __dir__ = lazy(__name__, dict.fromkeys(__all__, f"{__name__}.registry"))
+__getattr__, __dir__ = lazy(__name__, dict.fromkeys(__all__, f"{__name__}.detectors"))

@@ -372,7 +372,7 @@ class ChangeDetector:
         self._learning = self.samples > 1
         self._reference = picture.astype(np.float32)
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
-        self._haunted: F4 = np.zeros(shape, np.float32)
+        self._blocked_by_ghost: F4 = np.zeros(shape, np.float32)
         self._ghostly = self._shaky = False
         self._pose = STILL
         self._steady = frame.time
@@ -471,10 +471,10 @@ class ChangeDetector:
         cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
         # The time since its first frame: however few frames a second there are, one alone is not
         # enough.
-        lasted = np.where(self._haunted > 0, self._haunted + np.float32(passed), np.float32(1e-6))
-        self._haunted = np.where(left > 0, lasted, np.float32(0))
+        lasted = np.where(self._blocked_by_ghost > 0, self._blocked_by_ghost + np.float32(passed), np.float32(1e-6))
+        self._blocked_by_ghost = np.where(left > 0, lasted, np.float32(0))
         self._ghostly = bool(ghosts)
-        lasting = (self._haunted >= _GHOST_SECONDS).astype(np.uint8)
+        lasting = (self._blocked_by_ghost >= _GHOST_SECONDS).astype(np.uint8)
         if lasting.any():
             where = cv2.dilate(lasting, _NEAR) > 0
             for plane, seen in ((luma, where), (colours, where[::2, ::2])):

@@ -263,7 +263,7 @@ def within_frame(
         )
     sentence = f"{path}: {said} and are left out, the first in frame {int(table.frame[~kept][0])}"
     inside = DetectionTable(
-        table.frame[kept], table.detections.take(kept), table.empty, table.names
+        table.frame[kept], table.detections.select(kept), table.empty, table.names
     )
     return inside, (*empty, sentence)
 

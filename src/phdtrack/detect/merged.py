@@ -52,7 +52,7 @@ class ExpectedTargets:
         """What the kernels are told of them, but where they are."""
         return Lives(self.existence, model.sensor.p_detect(self.state), self.hidden, self.separate)
 
-    def take(self, index: I8 | Bool) -> ExpectedTargets:
+    def select(self, index: I8 | Bool) -> ExpectedTargets:
         """The targets at ``index`` (integers or a mask)."""
         others = (self.covariance, self.existence, self.hidden, self.separate)
         return ExpectedTargets(
@@ -129,7 +129,7 @@ class MergedMeasurements(Checked):
         if len(source) == len(detections):
             return targets, Explanation(detections, source, part, target)
         return targets, Explanation(
-            replace(detections.take(source), xyxy=xyxy), source, part, target, changed=True
+            replace(detections.select(source), xyxy=xyxy), source, part, target, changed=True
         )
 
     def advance(
@@ -168,7 +168,7 @@ class MergedMeasurements(Checked):
         if not left.any():
             return now
         return now.joined(
-            ExpectedTargets(state.state, state.covariance, there, unseen, state.separate).take(left)
+            ExpectedTargets(state.state, state.covariance, there, unseen, state.separate).select(left)
         )
 
 

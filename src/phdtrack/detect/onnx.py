@@ -229,18 +229,18 @@ class OnnxDetector:
         boxes = xyxy[rows].astype(np.float64) * (np.tile(placed.size, 2) if shares else 1.0)
         found = Detections(boxes, score[rows].astype(np.float64), label[rows].astype(np.int64))
         if self._layout.overlapping and self.overlap < 1 and len(found) > 1:
-            found = found.take(np.arange(min(len(found), _MOST)))
+            found = found.select(np.arange(min(len(found), _MOST)))
             ltwh = np.hstack([found.xyxy[:, :2], found.xyxy[:, 2:] - found.xyxy[:, :2]])
             scores = found.confidence.tolist()
             kinds = found.class_id.tolist()
             kept = cv2.dnn.NMSBoxesBatched(ltwh.tolist(), scores, kinds, 0.0, self.overlap)
-            found = found.take(np.sort(np.array(kept, np.int64)))
+            found = found.select(np.sort(np.array(kept, np.int64)))
         border = np.array([image.shape[1], image.shape[0]] * 2, np.float64)
         boxes = np.clip(
             (found.xyxy - np.tile(placed.offset, 2)) / np.tile(placed.scale, 2), 0.0, border
         )
         sized = np.flatnonzero((boxes[:, 2:] > boxes[:, :2]).all(axis=1))
-        return Detections(boxes, found.confidence, found.class_id).take(sized)
+        return Detections(boxes, found.confidence, found.class_id).select(sized)
 
     def _place(self, image: Image) -> _Placed:
         """The frame as the network takes it."""

@@ -231,7 +231,7 @@ class PersonDetector:
         kept = cv2.dnn.NMSBoxes(
             np.hstack([middle - reach, 2 * reach]).tolist(), above.tolist(), 0.0, self.overlap
         )
-        return Detections.of(np.hstack([middle - reach, middle + reach]), score).take(
+        return Detections.of(np.hstack([middle - reach, middle + reach]), score).select(
             np.array(kept, np.int64)
         )
 

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.filters.blocks import Intensity
+from phdtrack.filters.particle_blocks import Intensity
 from phdtrack.kernels.esf import log_products, log_sums_without
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
 

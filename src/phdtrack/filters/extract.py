@@ -34,13 +34,20 @@ import numpy as np
 
 from phdtrack.arrays import chi2_quantile, iou, iou_of_pairs
 from phdtrack.errors import Checked, Positive, PositiveCount, Share
-from phdtrack.filters.blocks import in_blocks
 from phdtrack.filters.cardinality import Cardinalised
-from phdtrack.kernels.blocks import Blocks, block_moments, claim, reaching, summarise, unreached
+from phdtrack.filters.particle_blocks import in_blocks
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.grid import make_grid, overlapping_pairs
 from phdtrack.kernels.kmeans import Rule, kmeans
 from phdtrack.kernels.mixtures import Gaussians, em_step
+from phdtrack.kernels.particle_blocks import (
+    Blocks,
+    block_moments,
+    claim,
+    reaching,
+    summarise,
+    unreached,
+)
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Bool, Estimates, GaussianMixture, ParticleBlocks, Particles
 
@@ -498,7 +505,7 @@ def heaviest(peaks: Estimates, cardinality: F8) -> Estimates:
     count = int(cardinality.argmax())
     if len(peaks) <= count:
         return peaks
-    return peaks.take(np.sort(np.argsort(-peaks.weight, kind="stable")[:count]))
+    return peaks.select(np.sort(np.argsort(-peaks.weight, kind="stable")[:count]))
 
 
 def united(peaks: Estimates, sensor: Sensor) -> Estimates:
@@ -527,6 +534,6 @@ def united(peaks: Estimates, sensor: Sensor) -> Estimates:
         heads.append(head)
         left = left[~near]
     xyxy = sensor.boxes(state)
-    return replace(peaks, weight=weight, state=state, xyxy=xyxy, detection=detection).take(
+    return replace(peaks, weight=weight, state=state, xyxy=xyxy, detection=detection).select(
         np.array(heads, np.int64)
     )

@@ -55,7 +55,7 @@ class Nodes:
     def __len__(self) -> int:
         return len(self.r)
 
-    def take(self, index: I8 | Bool) -> Nodes:
+    def select(self, index: I8 | Bool) -> Nodes:
         """The nodes at ``index`` (integers or a mask), in that order."""
         return Nodes(
             self.mean[index], self.covariance[index], self.r[index], self.detection[index], self.parent[index],
@@ -398,7 +398,7 @@ def compact(state: Hypotheses) -> Hypotheses:
     for cluster in state.clusters:
         used[cluster.leaf[cluster.leaf >= 0]] = True
     number = np.append(np.where(used, np.cumsum(used) - 1, -1), -1)
-    nodes = state.leaves.take(used)
+    nodes = state.leaves.select(used)
     layers = []
     for earlier in state.layers[-2::-1]:
         reached = np.zeros(len(earlier), np.bool_)
@@ -406,7 +406,7 @@ def compact(state: Hypotheses) -> Hypotheses:
         if 2 * np.count_nonzero(reached) < len(earlier):
             place = np.append(np.cumsum(reached) - 1, -1)
             nodes = replace(nodes, parent=place[nodes.parent])
-            earlier = earlier.take(reached)
+            earlier = earlier.select(reached)
         layers.append(nodes)
         nodes = earlier
     # Parents of the oldest layer are forgotten.

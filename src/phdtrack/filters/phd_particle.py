@@ -15,8 +15,8 @@ import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, reused, sum_by
 from phdtrack.errors import Checked, Count, PositiveCount
-from phdtrack.filters.blocks import Intensity, UpdatedParticles, in_blocks, in_ranges
 from phdtrack.filters.cardinality import TINY, UpdateTerms
+from phdtrack.filters.particle_blocks import Intensity, UpdatedParticles, in_blocks, in_ranges
 from phdtrack.kernels import particles as sweeps
 from phdtrack.kernels.grid import Grid, make_grid
 from phdtrack.kernels.particle_models import SensorNumbers, precision

@@ -421,14 +421,14 @@ class BestHypothesis(Checked):
         given = (state.leaves.mean[at], state.leaves.covariance[at])
         frames = [self._estimates(state.leaves, at, exists, given, model)]
         for k in range(len(state.layers) - 2, -1, -1):
-            later = state.layers[k + 1].take(at)
+            later = state.layers[k + 1].select(at)
             nodes = state.layers[k]
             at = later.parent
             known = at >= 0
             at = at[known]
-            later = later.take(known)
+            later = later.select(known)
             exists = exists[known]
-            then = nodes.take(at)
+            then = nodes.select(at)
             there = nodes.r[at]
             left = there * (1 - later.survival) / np.maximum(1 - later.survival * there, TINY)
             exists = np.minimum(exists + (1 - exists) * left, 1.0)
@@ -456,4 +456,4 @@ class BestHypothesis(Checked):
             mean, given[1][reported], exists[reported], boxes, nodes.detection[at], label
         )
         # Labels rise with the frame in which a track began.
-        return found.take(without_overlaps(found.xyxy, self.merge_iou))
+        return found.select(without_overlaps(found.xyxy, self.merge_iou))

@@ -81,4 +81,4 @@ def rows_of_kitti(text: Text, kind: str | None) -> Text:
         header = (*_HEADER, "class")
     else:
         header = (*_HEADER, "distractor", "region")
-    return replace(text.take(kept), lines=lines, delimiter=",", width=len(header), header=header)
+    return replace(text.select(kept), lines=lines, delimiter=",", width=len(header), header=header)

@@ -78,7 +78,7 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
             raise
         bad = np.any([rule.bad for rule in rules], axis=0)
         left_out.take(error, *table.origin.number[bad].tolist())
-        table = table.take(~bad)
+        table = table.select(~bad)
         label = label[~bad]
         if covariance is None:
             covariance = None
@@ -91,7 +91,7 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
     order = np.argsort(frame, kind="stable")
     order = order[np.all(box[order, 2:] > box[order, :2], axis=1)]
     found = Detections(box, table.get(Column.CONFIDENCE), label.astype(np.int64), covariance)
-    return DetectionTable(frame[order], found.take(order), len(frame) - len(order), table.names)
+    return DetectionTable(frame[order], found.select(order), len(frame) - len(order), table.names)
 
 
 def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:
@@ -127,7 +127,7 @@ def _tracks_of(table: Table) -> Tracks:
     confidence = table.get(Column.CONFIDENCE)
     enforce(table.origin, flag(ignore, "distractor"))
     scored = (table.get(Column.MOT_CLASS) == -1) | (confidence != 0)
-    table = table.take(scored & ((ignore == 0) | table.kitti) & (table.get(Column.REGION) == 0))
+    table = table.select(scored & ((ignore == 0) | table.kitti) & (table.get(Column.REGION) == 0))
     used, confirmed, label = (
         table.get(column) for column in (Column.DETECTION, Column.CONFIRMED, Column.CLASS)
     )
@@ -138,7 +138,7 @@ def _tracks_of(table: Table) -> Tracks:
     found = Tracks(
         frame, identity, box, score, used.astype(np.int64), confirmed != 0, label.astype(np.int64)
     )
-    return found.take(np.lexsort((identity, frame)))
+    return found.select(np.lexsort((identity, frame)))
 
 
 def table_of(

@@ -86,5 +86,5 @@ def stream_detections(file: BinaryIO, name: str) -> Iterator[DetectionTable]:
             )
         if kept:
             last = int(frame[kept - 1])
-            yield detections_of(table.take(np.arange(kept)))
+            yield detections_of(table.select(np.arange(kept)))
             del lines[:kept], numbers[:kept]

@@ -161,7 +161,7 @@ class Table:
             return self.values[column]
         return np.full(len(self.origin.number), 0.0 if column.default is None else column.default)
 
-    def take(self, index: I8 | Bool) -> Table:
+    def select(self, index: I8 | Bool) -> Table:
         """The rows ``index``."""
         origin = Origin(self.origin.path, self.origin.unit, self.origin.number[index])
         values = {column: value[index] for column, value in self.values.items()}
@@ -360,7 +360,7 @@ def _numbered(
             raise error
         left_out.take(error, *text.origin.number[bad].tolist())
         kept = np.delete(np.arange(len(rows)), bad).tolist()
-        text = text.take(kept)
+        text = text.select(kept)
         rows = [rows[k] for k in kept]
     number = {word: str(k) for k, word in enumerate(words, start=1)}
     lines = [

@@ -55,7 +55,7 @@ class Text:
         cells = _split(self.lines[row], self.delimiter)
         return cells[: max(self.width, _filled(cells))]
 
-    def take(self, rows: Sequence[int]) -> Text:
+    def select(self, rows: Sequence[int]) -> Text:
         """The lines ``rows``, from 0."""
         origin = replace(self.origin, number=self.origin.number[np.array(rows, np.int64)])
         return replace(self, origin=origin, lines=[self.lines[row] for row in rows])
@@ -71,7 +71,7 @@ class Text:
                 kept.append(row)
             except InputError as error:
                 left_out.take(error, float(self.origin.number[row]))
-        return self.take(kept)
+        return self.select(kept)
 
     def empty(self, column: int) -> bool:
         """Whether no line has a value in this column."""

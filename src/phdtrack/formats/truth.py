@@ -77,7 +77,7 @@ def read_truth_by_class(path: AnyPath) -> dict[str, Truth]:
     label = table.get(Column.CLASS)
     enforce(table.origin, whole(label, "class"))
     return {
-        table.names.get(int(one), f"{one:.0f}"): _truth_of(table.take(label == one), path)
+        table.names.get(int(one), f"{one:.0f}"): _truth_of(table.select(label == one), path)
         for one in np.unique(label)
     }
 
@@ -86,7 +86,7 @@ def _truth_of(table: Table, path: Path) -> Truth:
     """The truth in a table; `InputError` where a row cannot be one."""
     region = table.get(Column.REGION) != 0
     enforce(table.origin, *box_rules(table))
-    table, regions = table.take(~region), _regions(table.take(region))
+    table, regions = table.select(~region), _regions(table.select(region))
     confidence, ignore, label = (
         table.get(c) for c in (Column.CONFIDENCE, Column.DISTRACTOR, Column.MOT_CLASS)
     )
@@ -126,7 +126,7 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
         table = NO_ROWS
     enforce(table.origin, *box_rules(table), whole(table.get(Column.IDENTITY), "identity", low=-1))
     region = table.get(Column.IDENTITY) < 0
-    distractors = table.take(~region)
+    distractors = table.select(~region)
     frame = table.get(Column.FRAME).astype(np.int64)
     enforce(
         distractors.origin,
@@ -138,7 +138,7 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
     identity = np.concatenate([truth.identity, distractors.get(Column.IDENTITY).astype(np.int64)])
     marked = np.concatenate([truth.distractor, np.ones(count, np.bool_)])
     xyxy = np.concatenate([truth.xyxy, distractors.xyxy()])
-    regions = np.concatenate([truth.regions, _regions(table.take(region), first=1)])
+    regions = np.concatenate([truth.regions, _regions(table.select(region), first=1)])
     return replace(
         truth,
         frame=frames[order],

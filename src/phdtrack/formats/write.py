@@ -427,7 +427,7 @@ def _cvat(tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> list[
     for identity, label in sorted(
         set(zip(tracks.identity.tolist(), tracks.class_id.tolist(), strict=True))
     ):
-        mine = tracks.take((tracks.identity == identity) & (tracks.class_id == label))
+        mine = tracks.select((tracks.identity == identity) & (tracks.class_id == label))
         lines.append(f'<track id="{identity}" label={quoteattr(words[label])} source="auto">')
         numbers = mine.frame.tolist()
         for number, after, place in zip(
@@ -459,7 +459,7 @@ def _rerun(path: Path, tracks: Tracks, words: Mapping[int, str], info: SequenceI
             rr.send_columns(entity, index, columns, recording=recording)
 
         for identity in np.unique(tracks.identity).tolist():
-            mine = tracks.take(tracks.identity == identity)
+            mine = tracks.select(tracks.identity == identity)
             number = mine.frame
             box = mine.xyxy
             entity = f"tracks/{identity}"

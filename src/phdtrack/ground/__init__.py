@@ -2,6 +2,7 @@
 calibration from points.
 """
 
+from phdtrack.ground.camera_files import Calibration, MatrixForm, fit_homography, read_camera
 from phdtrack.ground.cameras import (
     CountedFrom,
     HomographyCamera,
@@ -11,7 +12,6 @@ from phdtrack.ground.cameras import (
     footprint,
     ground_covariance,
 )
-from phdtrack.ground.read import Calibration, MatrixForm, fit_homography, read_camera
 from phdtrack.ground.terrain import Flat, Surface, Terrain, read_terrain
 
 __all__ = [

@@ -15,10 +15,18 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F8, I4, I8, Real
-from phdtrack.kernels.blocks import Blocks, U, add_products, load_row, load_steps, reaching, weigh
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, whole
 from phdtrack.kernels.mixtures import Candidates, Gaussians
+from phdtrack.kernels.particle_blocks import (
+    Blocks,
+    U,
+    add_products,
+    load_row,
+    load_steps,
+    reaching,
+    weigh,
+)
 
 # A centre that has moved by less than this many deviations has not moved.
 STILL = 0.02

@@ -32,7 +32,7 @@ import numpy as np
 
 from phdtrack import pipeline
 from phdtrack.arrays import iou, to_cxcywh
-from phdtrack.detect.registry import frames_walked
+from phdtrack.detect.detectors import frames_walked
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
@@ -113,7 +113,7 @@ class Evidence:
             found = step.info.clutter_probability
             clutter.append(found if len(found) else np.zeros(len(step.detections)))
             advance(len(clutter))
-        stretch = DetectionTable(table.frame[rows], table.detections.take(rows))
+        stretch = DetectionTable(table.frame[rows], table.detections.select(rows))
         return cls(stretch, fps, frames, np.concatenate(clutter), pipeline.finish(stages, state))
 
 

@@ -15,17 +15,17 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.arrays import pixelated
-from phdtrack.classes import Kinds
 from phdtrack.detect.convert import LeftOut
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
-from phdtrack.groups.pipeline import GroupStages, OnlineGroups
+from phdtrack.groups.group_stages import GroupStages, OnlineGroups
 from phdtrack.live.checkpoint import LOST, HeldFrame, SavedCamera, SavedWatch, key_of, load, save
 from phdtrack.live.delivery import Courier
 from phdtrack.live.events import Event, Maps, Minute, Watch, WatchState
 from phdtrack.live.outputs import EventLog, RowsLog, VideoLog, stamp
 from phdtrack.live.sources import LiveFrame, LiveSource
 from phdtrack.live.zones import read_places
+from phdtrack.multiclass import ClassSettings
 from phdtrack.report import Annotator
 from phdtrack.report.drawing import feet
 from phdtrack.tracker import Tracker
@@ -73,7 +73,7 @@ class Making(NamedTuple):
     """
 
     detector: Detector
-    kinds: Kinds
+    kinds: ClassSettings
     info: SequenceInfo
     delay: int = 0
     fixed: Mapping[str, object] = {}
@@ -242,7 +242,7 @@ class Camera:
             rows = self._tracker.flush()
             while self._held:
                 held = self._held.popleft()
-                self._finish(held, rows.take(rows.frame == held.frame.number))
+                self._finish(held, rows.select(rows.frame == held.frame.number))
 
     def _save_end(self) -> None:
         """The last checkpoint."""
@@ -550,7 +550,7 @@ class Camera:
         watch, state = self.watched
         state, events = watch.advance(state, rows, frame.number, frame.time)
         self.watched = (watch, state)
-        confirmed = rows.take(rows.confirmed)
+        confirmed = rows.select(rows.confirmed)
         if self._groups is not None and held.mixture is not None:
             found = self._groups.events(held.mixture, confirmed, frame.number, frame.time)
             events = (

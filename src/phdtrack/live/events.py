@@ -342,7 +342,7 @@ def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Ev
     for number in _walked(
         np.unique(tracks.frame).tolist(), last, math.ceil(watch.leave_after * fps) + 1
     ):
-        rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [number, number + 1])))
+        rows = tracks.select(np.arange(*np.searchsorted(tracks.frame, [number, number + 1])))
         state, events = watch.advance(state, rows, number, (number - 1) / fps)
         for event in events:
             who = event.identity, event.place

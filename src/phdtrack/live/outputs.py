@@ -63,7 +63,7 @@ _WAITING = (
     " ORDER BY rowid LIMIT ?"
 )
 HEAD = "time,frame,identity,class,left,top,width,height,confidence,detection,confirmed\n"
-Told = dict[str, object]
+Notice = dict[str, object]
 """An event for JSON."""
 HOUR = 3600.0
 SEGMENT = 600.0
@@ -311,7 +311,7 @@ class EventLog:
             ) from None
         self._add_lines()
 
-    def write(self, events: Iterable[Told], watched: tuple[int, bytes] | None = None) -> list[Told]:
+    def write(self, events: Iterable[Notice], watched: tuple[int, bytes] | None = None) -> list[Notice]:
         """Those of the events that are new, once they are on disk. Raises `sqlite3.Error` where
         nothing was written.
 

@@ -2,7 +2,7 @@
 tracks, causes of errors.
 """
 
-from phdtrack.metrics.errors import Errors, explain
+from phdtrack.metrics.causes import Errors, explain
 from phdtrack.metrics.scores import Scores, evaluate, pool
 from phdtrack.metrics.trajectories import TargetErrors, TGospaParts, rmse_per_target, tgospa_boxes
 

@@ -31,7 +31,7 @@ from phdtrack.types import F8, Image, SequenceInfo
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from phdtrack.groups.pipeline import GroupFrame
+    from phdtrack.groups.group_stages import GroupFrame
 
 # `_INK` stands in an SVG as ``currentColor``; `_PALE` is for what is written on `_DARK`.
 _INK = "#3a4250"
@@ -179,7 +179,7 @@ def trajectory_picture(record: RunRecord) -> Picture:
     axes = _frame_axes(record.info)
     tracks = record.tracks
     rows = [np.flatnonzero(tracks.identity == identity) for identity in np.unique(tracks.identity)]
-    paths = [tracks.take(own[np.argsort(tracks.frame[own])]) for own in rows]
+    paths = [tracks.select(own[np.argsort(tracks.frame[own])]) for own in rows]
     colours = [_colour(int(path.identity[0])) for path in paths]
     for width, alpha, thin in ((0.8, 0.8, True), (1.8, 1.0, False)):
         ways = []

@@ -31,7 +31,7 @@ from phdtrack.kernels.planes import blend
 from phdtrack.types import F8, I8, Bool, Detections, Image, SequenceInfo, Tracks
 
 if TYPE_CHECKING:
-    from phdtrack.groups.pipeline import GroupFrame
+    from phdtrack.groups.group_stages import GroupFrame
 
 Rgb = tuple[int, int, int]
 _HEX = "ff9f1c 1fb5ad ffe14d a78bfa 2ec27e 4d7cfe ff4d4d e8d5ff c98b5b 4cc9f0 b5e853 ff7ac6"
@@ -338,7 +338,7 @@ class Annotator:
                 f"expected a clutter probability for each of {count} detections, got {known}",
                 where=where,
             )
-        rows = tracks.take(tracks.frame == number)
+        rows = tracks.select(tracks.frame == number)
         if not planes:
             image = pixelated(image, np.vstack([rows.xyxy, detections.xyxy]), self._blur).copy()
             if image.shape != self._sheet.image.shape:
@@ -357,13 +357,13 @@ class Annotator:
             detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True
         )
         # From the top of the frame downwards, because what stands lower is usually nearer.
-        rows = rows.take(np.argsort(rows.xyxy[:, 3], kind="stable"))
-        self._trails(number, rows.take(rows.confirmed))
+        rows = rows.select(np.argsort(rows.xyxy[:, 3], kind="stable"))
+        self._trails(number, rows.select(rows.confirmed))
         for k in np.flatnonzero(~rows.confirmed):
             canvas.glaze_boxes(
                 rows.xyxy[k : k + 1], identity_colour(int(rows.identity[k])), canvas.line, 0.4
             )
-        rows = rows.take(rows.confirmed)
+        rows = rows.select(rows.confirmed)
         identities = rows.identity.tolist()
         labels = [str(k) for k in rows.identity.tolist()]
         if self._names is not None:
@@ -383,7 +383,7 @@ class Annotator:
         oldest.
         """
         past = Tracks.concatenate([self._past, rows])
-        self._past = past = past.take(past.frame > number - self._length)
+        self._past = past = past.select(past.frame > number - self._length)
         # By identity, and the lines by strength: OpenCV draws many at once in the time of a few.
         order = np.argsort(past.identity, kind="stable")
         identities, starts = np.unique(past.identity[order], return_index=True)

@@ -3,8 +3,8 @@
 """
 
 from phdtrack.scene.em import grid, learn
-from phdtrack.scene.files import LearnedDensity, Scene, TrackedObjects, read_scene, write_scene
 from phdtrack.scene.mixture import SceneDensity, marginal, shown_volume
+from phdtrack.scene.scene_file import LearnedDensity, Scene, TrackedObjects, read_scene, write_scene
 
 __all__ = [
     "LearnedDensity",

@@ -23,8 +23,8 @@ import numpy as np
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import InputError
 from phdtrack.scene.em import best_uniform, grid, learn, parameters
-from phdtrack.scene.files import LearnedDensity
 from phdtrack.scene.mixture import SceneDensity
+from phdtrack.scene.scene_file import LearnedDensity
 from phdtrack.types import F8, I8, Tracks
 
 # M09's grids.

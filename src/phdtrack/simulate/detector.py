@@ -174,10 +174,10 @@ def add_clutter(
     if len(table):
         rows = np.append(np.arange(len(table)), donor_rng.integers(len(table), size=len(frame)))
         merged = replace(
-            table.detections.take(rows), xyxy=np.concatenate([table.detections.xyxy, boxes])
+            table.detections.select(rows), xyxy=np.concatenate([table.detections.xyxy, boxes])
         )
     order = _shuffled(frames, order_rng)
-    return DetectionTable(frames[order], merged.take(order), table.empty, table.names)
+    return DetectionTable(frames[order], merged.select(order), table.empty, table.names)
 
 
 def covered(truth: Truth, obstacles: F8) -> F8:

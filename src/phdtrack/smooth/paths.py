@@ -48,7 +48,7 @@ class Paths:
         """(M,) the path of each row."""
         return np.repeat(np.arange(len(self)), np.diff(self.start))
 
-    def take(self, wanted: Bool) -> Paths:
+    def select(self, wanted: Bool) -> Paths:
         """The paths that are ``wanted`` (K,)."""
         rows = wanted[self.path]
         length = np.diff(self.start)[wanted]

@@ -147,7 +147,7 @@ def _going(tracks: Tracks, extent: float, size: tuple[float, float]) -> Tracks:
         kept[rows] = (way >= extent * box).any()
     if kept.all():
         return tracks
-    return _numbered(tracks.take(kept))
+    return _numbered(tracks.select(kept))
 
 
 def _rows(
@@ -184,7 +184,7 @@ def _rows(
     filled = Tracks.of(numbers, name[ends[0]], boxes[gap], sure, -1)
     same = replace(tracks, identity=name, xyxy=xyxy)
     return _numbered(
-        Tracks.concatenate([same.take(~_doubled(tracks, paths, measurements, name)), filled])
+        Tracks.concatenate([same.select(~_doubled(tracks, paths, measurements, name)), filled])
     )
 
 
@@ -397,7 +397,7 @@ def _stitched(paths: Paths, sequence: Sequence, settings: Smoothing) -> tuple[Pa
         fresh = np.bincount(chain) > 1
         changed = fresh[longer.path]
         kept = ~fresh[chain[paths.path]]
-        new = sequence.smooth(longer.take(fresh))
+        new = sequence.smooth(longer.select(fresh))
         mean, cov = (np.empty((len(changed), *part.shape[1:])) for part in new)
         mean[changed], cov[changed] = new
         mean[~changed] = states.mean[kept]

@@ -64,7 +64,7 @@ FORMS: dict[str, str] = {
     "HeldFrame": "number::1.. xyxy:N,4:-far..far",
     "SavedCamera": "number::1.. people:h,w:0.. clutter:h,w:0.. minutes:n,4:0..",
     "Seed": "state::0..4e38 increment::0..4e38 has_word::0..1 word::0..4294967295",
-    "SavedLanes": "alone::0..highest highest::0..",
+    "SavedPipelines": "alone::0..highest highest::0..",
 }  # fmt: skip
 # Largest size of a coordinate (a target that is followed for a month without a detection may be far
 # away), expected number of targets, and number.
@@ -399,8 +399,8 @@ RELATIONS: dict[str, Callable[[Any, World], Any]] = {
     "ShareState": _shares,
     "TrackingState": _tracking,
     "ScoresSeen": _scores,
-    "SavedLane": _lane,
-    "SavedLanes": lambda r, w: (
+    "SavedPipeline": _lane,
+    "SavedPipelines": lambda r, w: (
         _rises([frame[0] for frame in r.past])
         and _rises([frame[1] for frame in r.past])
         and all(_is_warp(f[2]) for f in r.past)

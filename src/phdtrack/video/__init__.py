@@ -4,7 +4,7 @@
 them. PyAV (FFmpeg) and OpenCV are imported when the first file is opened.
 """
 
-from phdtrack.video.files import VideoSource, open_source
-from phdtrack.video.writer import VideoWriter
+from phdtrack.video.reading import VideoSource, open_source
+from phdtrack.video.writing import VideoWriter
 
 __all__ = ["VideoSource", "VideoWriter", "open_source"]

@@ -12,11 +12,11 @@ from extract_cases import EXTRACTORS, HERE, MODEL, NAMES, THERE, cloud, moved, s
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.filters.blocks import cut
 from phdtrack.filters.extract import REACH, KMeans, _seeds, known_blocks
-from phdtrack.kernels.blocks import block_moments, reaching
+from phdtrack.filters.particle_blocks import cut
 from phdtrack.kernels.kmeans import PATIENCE, Rule, kmeans
 from phdtrack.kernels.mixtures import Gaussians, em_step, nothing_known
+from phdtrack.kernels.particle_blocks import block_moments, reaching
 from phdtrack.types import ParticleBlocks, Particles
 from reference import clustering_twin as twin
 
@@ -95,7 +95,7 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
     found = extractor.extract(state, z, MODEL)
     mine = np.lexsort(found.state)
     other = np.lexsort(mean)
-    found = found.take(mine)
+    found = found.select(mine)
     mass = mass[other]
     mean = mean[:, other]
     cov = cov[other]

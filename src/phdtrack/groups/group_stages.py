@@ -321,12 +321,12 @@ class OnlineGroups:
         rows : confirmed ones of the frame.
         number, time : of the frame, and in seconds.
         """
-        rows = rows.take(np.argsort(rows.identity, kind="stable"))
+        rows = rows.select(np.argsort(rows.identity, kind="stable"))
         carrier = carriers(
             mixture, self._stages.model.sensor.measure(Detections.of(rows.xyxy))[:2], self._light
         )
         if isinstance(self._groups.grouping, Pairs):
-            rows = rows.take(carrier >= 0)
+            rows = rows.select(carrier >= 0)
             carrier = carrier[carrier >= 0]
             covariance = mixture.covariance[carrier, :4, :4]
             walkers = Walkers(

@@ -32,7 +32,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, Positive, Share
-from phdtrack.kernels.scores import LOGIT, RANK, Line, chained, newton, scaled
+from phdtrack.kernels.detection_scores import LOGIT, RANK, Line, chained, newton, scaled
 from phdtrack.models.clutter import ScoredClutter
 from phdtrack.protocols import Learning, Model
 from phdtrack.types import F8, I8, Detections, Step

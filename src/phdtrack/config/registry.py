@@ -1,5 +1,5 @@
 """Every name that a configuration may have: sections, their kinds, the settings of each, and which
-go together, from ``kinds.toml``.
+go together, from ``registry.toml``.
 
 The settings of a kind are the fields of a frozen dataclass, mostly the object itself (``[filter]``
 of kind ``pmb`` has the fields of `filters.pmb.PMB`). The dataclasses here are of parts that are
@@ -133,7 +133,7 @@ Label = int | str
 
 
 @dataclass(frozen=True, slots=True)
-class ClassSettings:
+class ClassOptions:
     """Settings of a detector's classes. A class is called by its name, or by its number.
 
     Parameters
@@ -160,7 +160,7 @@ class ClassSettings:
 
 _KINDS = {
     section: {"": kinds} if "class" in kinds else kinds
-    for section, kinds in read_toml(Path(__file__).with_name("kinds.toml")).items()
+    for section, kinds in read_toml(Path(__file__).with_name("registry.toml")).items()
 }
 # section → kind → "module:class" of its settings; the first kind is the default. A class is
 # imported when it is chosen.
@@ -168,7 +168,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     section: {kind: one["class"] for kind, one in kinds.items()}
     for section, kinds in _KINDS.items()
 }
-# Kinds of other sections that a kind goes together with, the default first.
+# ClassSettings of other sections that a kind goes together with, the default first.
 FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
     (section, kind): {other: tuple(fitting) for other, fitting in one.items() if other in _KINDS}
     for section, kinds in _KINDS.items()

@@ -262,7 +262,7 @@ class Masked:
             .tolist()
         )
         parts = [self._region[top:bottom, left:right] for left, top, right, bottom in corners]
-        return found.take(
+        return found.select(
             np.array([part.sum() >= _INSIDE * max(part.size, 1) for part in parts], np.bool_)
         )
 

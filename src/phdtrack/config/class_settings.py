@@ -6,11 +6,11 @@ import math
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from phdtrack.classes import Kinds
 from phdtrack.config.build import build
-from phdtrack.config.kinds import ClassSettings, Label
+from phdtrack.config.registry import ClassOptions, Label
 from phdtrack.config.settings import Settings, overlay, parsed_value
 from phdtrack.errors import InputError
+from phdtrack.multiclass import ClassSettings
 from phdtrack.types import SequenceInfo
 
 # What a class may have of its own.
@@ -28,14 +28,14 @@ _SECTIONS = (
 _LIMITS = {"min_score": 0, "min_size": 1}
 
 
-def build_kinds(
+def build_classes(
     settings: Settings,
     info: SequenceInfo,
     names: Mapping[int, str] | None = None,
     present: Collection[int] | None = None,
     *,
     moving: bool = False,
-) -> Kinds:
+) -> ClassSettings:
     """How the classes of a sequence are tracked. Raises `InputError` as `build`, for a class that
     there is none of, and for a setting that a class cannot have of its own.
 
@@ -47,7 +47,7 @@ def build_kinds(
     present : the classes that there are; None where this is not known beforehand.
     moving : as for `build`.
     """
-    given: ClassSettings = settings.build("classes")
+    given: ClassOptions = settings.build("classes")
     usual = build(settings, info, moving=moving)
     known = dict(enumerate(given.names)) | dict(names or {})
     only = tuple(_code(label, known, present, "classes.only") for label in given.only)
@@ -104,7 +104,7 @@ def build_kinds(
         size = (float(info.width), float(info.height))
     else:
         size = (0.0, 0.0)
-    return Kinds(
+    return ClassSettings(
         usual,
         own,
         first,

@@ -22,8 +22,8 @@ from phdtrack.cli import options as given
 from phdtrack.cli.options import TrackingOptions
 from phdtrack.cli.output import Output
 from phdtrack.config import Settings, load, overlay
-from phdtrack.config.kinds import SECTIONS, record, settable
 from phdtrack.config.presets import PRESETS
+from phdtrack.config.registry import SECTIONS, record, settable
 from phdtrack.filters import NoFilter
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import lines

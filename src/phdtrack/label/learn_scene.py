@@ -51,7 +51,7 @@ LIMITS = (
 )
 
 
-class Lesson(NamedTuple):
+class TrainingResult(NamedTuple):
     """What was learned of births or of false alarms, None for nothing, and its ``gain`` in nats per
     unseen sample above the uniform density, NaN where that is not known; what is said of it;
     ``source``, where it comes from, in words."""
@@ -68,8 +68,8 @@ class Trained(NamedTuple):
     """
 
     scene: Scene
-    births: Lesson
-    alarms: Lesson
+    births: TrainingResult
+    alarms: TrainingResult
     sentences: tuple[str, ...]
 
 
@@ -142,7 +142,7 @@ class SceneTraining:
 
     def _lesson(
         self, part: str, learn: Callable[[], tuple[Training, str]], limits: str = ""
-    ) -> Lesson:
+    ) -> TrainingResult:
         """What ``learn`` gives, with what it says of it and its gain on unseen samples; why
         nothing, where it fails.
         """
@@ -150,7 +150,7 @@ class SceneTraining:
             training, text = learn()
             learned = self._with_prior(training.learned)
         except InputError as error:
-            return Lesson(None, math.nan, f"{part} stay as shipped: {error}")
+            return TrainingResult(None, math.nan, f"{part} stay as shipped: {error}")
         gain = "too few samples to measure the gain"
         if math.isfinite(training.gain):
             gain = (
@@ -160,7 +160,7 @@ class SceneTraining:
         if not learned.density.has_places:
             text += "; nothing was learned of where, as no place is likelier than others"
         sentence = f"{part}: {text}; {gain}"
-        return Lesson(
+        return TrainingResult(
             learned,
             training.gain,
             f"{sentence}. {limits}" if limits else sentence,

@@ -71,8 +71,8 @@ class Seed(NamedTuple):
         return rng
 
 
-class SavedLane(NamedTuple):
-    """What a state holds of a class; see `_Lane`."""
+class SavedPipeline(NamedTuple):
+    """What a state holds of a class; see `_ClassPipeline`."""
 
     seed: Seed
     state: TrackingState
@@ -82,8 +82,8 @@ class SavedLane(NamedTuple):
     sums: dict[tuple[int, int], float]
 
 
-class SavedLanes(NamedTuple):
-    """What a state holds of all classes, besides the lanes of ``kinds``; see `Lanes`."""
+class SavedPipelines(NamedTuple):
+    """What a state holds of all classes, besides the lanes of ``kinds``; see `ClassPipelines`."""
 
     kinds: tuple[int, ...]
     past: tuple[tuple[int, float, F8, bool], ...]
@@ -93,7 +93,7 @@ class SavedLanes(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Kinds:
+class ClassSettings:
     """How classes are tracked.
 
     Attributes
@@ -150,11 +150,11 @@ class Kinds:
         classes of earlier frames.
         """
         rows, out = self.limits.plausible(found)
-        wanted = rows[self.wanted(found.take(rows))]
-        known = wanted[self._among_classes(found.take(wanted), seen)]
+        wanted = rows[self.wanted(found.select(rows))]
+        known = wanted[self._among_classes(found.select(wanted), seen)]
         out = out._replace(unwanted=len(rows) - len(wanted), classes=len(wanted) - len(known))
         wanted = known
-        apart = wanted[self._uncrowded(found.take(wanted))]
+        apart = wanted[self._uncrowded(found.select(wanted))]
         best = apart[self.limits.best(found.confidence[apart])]
         return best, out._replace(crowded=len(wanted) - len(apart), surplus=len(apart) - len(best))
 
@@ -180,7 +180,7 @@ class Kinds:
             order = np.flatnonzero(label == kind)
             order = order[np.argsort(-found.confidence[order], kind="stable")]
             sensor = self.stages(kind).model.sensor
-            z = sensor.measure(found.take(order))
+            z = sensor.measure(found.select(order))
             reach = np.subtract(*sensor.gate(z)[::-1]) / 2
             # A foot above the horizon is in no place.
             known = np.isfinite(z).all(axis=0) & np.isfinite(reach).all(axis=0)
@@ -191,7 +191,7 @@ class Kinds:
 
 
 @dataclass(slots=True)
-class _Lane:
+class _ClassPipeline:
     """What is held of a class, or of those that are tracked together.
 
     ``rows``: in frames with other detections, which of them were its; ``labels``: classes and
@@ -207,7 +207,7 @@ class _Lane:
     sums: dict[tuple[int, int], float] = field(default_factory=dict)
 
     @classmethod
-    def begin(cls, stages: AnyStages, seed: int, *, together: bool = False) -> _Lane:
+    def begin(cls, stages: AnyStages, seed: int, *, together: bool = False) -> _ClassPipeline:
         """Before the first frame."""
         rng = np.random.default_rng(seed)
         return cls(stages, rng, pipeline.start(stages, rng), together)
@@ -257,7 +257,7 @@ class _Lane:
         return np.array([best.get(one, (0.0, kind))[1] for one in rows.identity.tolist()], np.int64)
 
 
-class Lanes:
+class ClassPipelines:
     """The pipelines of the classes that were seen so far: what a `Tracker` holds.
 
     Parameters
@@ -266,12 +266,12 @@ class Lanes:
     seed : of each pipeline's randomness.
     """
 
-    def __init__(self, kinds: Kinds, seed: int) -> None:
+    def __init__(self, kinds: ClassSettings, seed: int) -> None:
         self.kinds = kinds
         self._seed = seed
-        self._lanes: dict[int, _Lane] = {}
+        self._lanes: dict[int, _ClassPipeline] = {}
         # Follows the frames before the first detection.
-        self._blank = _Lane.begin(kinds.usual, seed)
+        self._blank = _ClassPipeline.begin(kinds.usual, seed)
         self._past: deque[tuple[int, float, F8, bool]] = deque(maxlen=_REPLAYED)
         # Identities of a class in terms of those of all. Up to `_alone` the first class had them
         # for itself.
@@ -320,7 +320,7 @@ class Lanes:
         detections, number, time, warp : as `pipeline.advance` has them, which says what is raised.
         """
         label = self.kinds.of(detections)
-        gone_through = dict[int, _Lane]()
+        gone_through = dict[int, _ClassPipeline]()
         for kind in np.unique(label).tolist():
             if kind not in self._lanes:
                 self._open(kind, gone_through)
@@ -332,7 +332,7 @@ class Lanes:
         else:
             index = {kind: np.flatnonzero(label == kind) for kind in lanes}
             steps = {
-                k: lane.advance(detections.take(index[k]), number, time, warp)
+                k: lane.advance(detections.select(index[k]), number, time, warp)
                 for k, lane in lanes.items()
             }
             for kind, lane in lanes.items():
@@ -368,7 +368,7 @@ class Lanes:
         for kind, lane in lanes.items():
             rows = pipeline.finish(lane.stages, lane.state)
             label = lane.classed(rows, kind, lane.votes(rows, {}) if lane.together else {})
-            rows = given_rows(rows, lane.rows)
+            rows = input_rows(rows, lane.rows)
             parts.append(replace(rows, identity=rows.identity + used, class_id=label))
             used += int(rows.identity.max(initial=0))
         if len(parts) == 1:
@@ -379,9 +379,9 @@ class Lanes:
         rank[np.argsort(first, kind="stable")] = np.arange(1, len(first) + 1)
         return Tracks.concatenate([replace(rows, identity=rank[place])])
 
-    def saved(self) -> tuple[SavedLanes, tuple[SavedLane, ...]]:
+    def saved(self) -> tuple[SavedPipelines, tuple[SavedPipeline, ...]]:
         """Everything that decides what comes next: values that no later frame changes."""
-        whole = SavedLanes(
+        whole = SavedPipelines(
             tuple(self._lanes), tuple(self._past), dict(self._names), self._alone, self.highest
         )
         return whole, tuple(_saved(lane) for lane in self._lanes.values() or (self._blank,))
@@ -392,7 +392,7 @@ class Lanes:
         """
         from phdtrack.state import World, restored
 
-        found = restored(whole, SavedLanes, None, World.of(self.kinds.usual), "state")
+        found = restored(whole, SavedPipelines, None, World.of(self.kinds.usual), "state")
         kinds, past, self._names, self._alone, self.highest = found
         if not isinstance(lanes, list) or len(lanes) != max(len(kinds), 1):
             raise InputError(f"expected states of {max(len(kinds), 1)} classes", where="lanes")
@@ -414,7 +414,7 @@ class Lanes:
             found |= {number: int(rows.max(initial=-1)) + 1 for number, rows in lane.rows.items()}
         return found
 
-    def _open(self, kind: int, gone_through: dict[int, _Lane]) -> None:
+    def _open(self, kind: int, gone_through: dict[int, _ClassPipeline]) -> None:
         """Follow a class from now on: the empty frames so far lie behind it.
 
         They are gone through once in a frame for classes of the same stages; ``gone_through`` is
@@ -428,17 +428,17 @@ class Lanes:
             return
         before = gone_through.get(id(stages))
         if before is None:
-            before = gone_through[id(stages)] = _Lane.begin(stages, self._seed)
+            before = gone_through[id(stages)] = _ClassPipeline.begin(stages, self._seed)
             for number, time, warp, observed in self._past:
                 before.advance(Detections.empty(observed=observed), number, time, warp)
-        lane = _Lane(stages, copy.deepcopy(before.rng), before.state, together)
+        lane = _ClassPipeline(stages, copy.deepcopy(before.rng), before.state, together)
         if len(self._lanes) == 1:
             self._alone = self.highest
         else:
             self._alone = self._alone
         self._lanes[kind] = lane
 
-    def _given(self, kind: int, lane: _Lane, rows: Tracks) -> Tracks:
+    def _given(self, kind: int, lane: _ClassPipeline, rows: Tracks) -> Tracks:
         """Online rows with the class, with detections as they were given, and with identities among
         all classes.
         """
@@ -457,10 +457,10 @@ class Lanes:
             self._names[kind, one] = known or self.highest
         newest(self._names)
         named = np.array([self._names.get((kind, one), one) for one in identity.tolist()], np.int64)
-        return replace(given_rows(rows, lane.rows), identity=named, class_id=label)
+        return replace(input_rows(rows, lane.rows), identity=named, class_id=label)
 
 
-def given_rows(rows: Tracks, kept: Mapping[int, I8]) -> Tracks:
+def input_rows(rows: Tracks, kept: Mapping[int, I8]) -> Tracks:
     """The rows with their detections counted among more: in frame k, number i is ``kept[k][i]``."""
     if not kept:
         return rows
@@ -511,9 +511,9 @@ def newest(kept: dict[tuple[int, int], Any]) -> None:
         del kept[next(iter(kept))]
 
 
-def _saved(lane: _Lane) -> SavedLane:
+def _saved(lane: _ClassPipeline) -> SavedPipeline:
     """What `_restored` makes the lane of."""
-    return SavedLane(
+    return SavedPipeline(
         Seed.of(lane.rng),
         lane.state,
         lane.together,
@@ -523,12 +523,12 @@ def _saved(lane: _Lane) -> SavedLane:
     )
 
 
-def _restored(stages: AnyStages, packed: Any, where: str) -> _Lane:
+def _restored(stages: AnyStages, packed: Any, where: str) -> _ClassPipeline:
     """The lane with these stages. Raises `InputError` where what was packed is damaged, or of
     others.
     """
     from phdtrack.state import World, restored
 
-    like = _saved(_Lane.begin(stages, 0))
-    found: SavedLane = restored(packed, SavedLane, like, World.of(stages), where)
-    return _Lane(stages, found.seed.generator(), *found[1:])
+    like = _saved(_ClassPipeline.begin(stages, 0))
+    found: SavedPipeline = restored(packed, SavedPipeline, like, World.of(stages), where)
+    return _ClassPipeline(stages, found.seed.generator(), *found[1:])
