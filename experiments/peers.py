@@ -58,7 +58,7 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "neither": ("smooth.smoothing=false", "smooth.stitching=false"),
     "no occlusion of targets": ("filter.mean_visible_time=0",),
     "no static clutter": ("filter.static_clutter_prior=0",),
-    "scores not used": ("rates.kind=none",),
+    "scores not used": ("detection_scores.kind=none",),
     "no lasting clutter": ("filter.lasting_clutter_prior=0",),
     "noises as the model's": ("filter.noise_freedom=0",),
     "one acceleration": ("filter.acceleration_factors=[1]",),

@@ -17,10 +17,12 @@ INFO = SequenceInfo(640, 480, 25.0)
 
 def stages(*sets, filter_name="gm-phd", info=INFO, **rates):
     """Those of the filter, with p_D and false alarms learned."""
-    built = config.build(config.load(None, ("rates.kind=none", *sets)), info, filter_name)
+    built = config.build(
+        config.load(None, ("detection_scores.kind=none", *sets)), info, filter_name
+    )
     settings = RatesSettings(**{"detection": True, "clutter": True, "cautious": False} | rates)
     learning = RateLearning(RatesLearning(settings, priors_of(built.model), settings.verdict_delay))
-    return replace(built, learning=learning)
+    return replace(built, detection_scores=learning)
 
 
 def boxes(n, rng):
@@ -30,31 +32,35 @@ def boxes(n, rng):
 
 def knowing(built, **rates):
     """The learning's state with these rates."""
-    state = built.learning.start()
+    state = built.detection_scores.start()
     return replace(state, rates=replace(state.rates, **rates))
 
 
 def test_nothing_known_leaves_the_model_as_it_is():
     built = stages()
-    state = built.learning.start()
-    model = built.learning.model(state, built.model)
+    state = built.detection_scores.start()
+    model = built.detection_scores.model(state, built.model)
     assert (model.sensor, model.birth, model.clutter) == (
         built.model.sensor,
         built.model.birth,
         built.model.clutter,
     )
     assert (
-        built.learning.with_scores(state, model, Detections.of(boxes(3, np.random.default_rng(0))))
+        built.detection_scores.with_scores(
+            state, model, Detections.of(boxes(3, np.random.default_rng(0)))
+        )
         is model
     )
 
 
 def test_rates_replace_those_of_the_model_in_steps():
     built = stages()
-    model = built.learning.model(knowing(built, detection=0.9312, clutter=0.7), built.model)
+    model = built.detection_scores.model(knowing(built, detection=0.9312, clutter=0.7), built.model)
     assert model.sensor.detection_probability == pytest.approx(0.93)
     assert model.clutter.clutter_per_detection == pytest.approx(0.7, rel=0.03)
-    again = built.learning.model(knowing(built, detection=0.9308, clutter=0.7001), built.model)
+    again = built.detection_scores.model(
+        knowing(built, detection=0.9308, clutter=0.7001), built.model
+    )
     assert again.sensor is model.sensor
     assert again.clutter is model.clutter
 
@@ -76,33 +82,33 @@ def test_frames_that_nobody_saw_teach_nothing():
 def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     built = stages(cautious=True)
     set_to = built.model
-    rates = built.learning.start().rates
+    rates = built.detection_scores.start().rates
     higher = {"detection": 0.95, "clutter": 0.05}
     lower = {"detection": 0.6, "clutter": 0.9}
-    model = built.learning.model(knowing(built, **higher), set_to)
+    model = built.detection_scores.model(knowing(built, **higher), set_to)
     found = model.sensor.detection_probability, model.clutter.clutter_per_detection
     assert found == pytest.approx((rates.detection, rates.clutter))
-    model = built.learning.model(knowing(built, **lower), set_to)
+    model = built.detection_scores.model(knowing(built, **lower), set_to)
     assert model.sensor.detection_probability == pytest.approx(0.6)
     assert model.clutter.clutter_per_detection == pytest.approx(0.9, rel=0.03)
 
 
 def test_there_are_no_more_false_alarms_than_detections():
     built = stages("clutter.clutter_per_frame=90.0")
-    state = built.learning.start()
-    model = built.learning.model(state, built.model)
+    state = built.detection_scores.start()
+    model = built.detection_scores.model(state, built.model)
     assert model.clutter.clutter_per_frame == 90
-    seven = built.learning.with_scores(
+    seven = built.detection_scores.with_scores(
         state, model, Detections.of(boxes(7, np.random.default_rng(9)))
     )
     assert seven.clutter.clutter_per_frame == pytest.approx(7, rel=0.03)
-    many = built.learning.with_scores(
+    many = built.detection_scores.with_scores(
         state, model, Detections.of(boxes(200, np.random.default_rng(9)))
     )
     assert many.clutter.clutter_per_frame == 90
     cautious = stages("clutter.clutter_per_frame=90.0", cautious=True)
     assert (
-        cautious.learning.with_scores(
+        cautious.detection_scores.with_scores(
             state, model, Detections.of(boxes(7, np.random.default_rng(9)))
         )
         is model

@@ -71,7 +71,7 @@ class TrackingState:
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
     """The state before the first frame."""
-    learning = stages.learning
+    learning = stages.detection_scores
     explainer = stages.explainer
     model = stages.model
     learned = learning and learning.start()
@@ -107,7 +107,7 @@ def advance(
         camera stands still.
     """
     _check_order(state, number, time)
-    learning = stages.learning
+    learning = stages.detection_scores
     explainer = stages.explainer
     learned = state.learned
     expected = state.expected

@@ -457,7 +457,8 @@ class Stages(Generic[S, A]):
 
     Attributes
     ----------
-    learning : what is learned while tracking.      explainer : the merged-measurement model.
+    detection_scores : what scores say, learned while tracking.
+    explainer : the merged-measurement model.
     smoother : of corrected tracks.      online : boxes of online rows.
     camera : what finds the camera's motion in the detections.
     longest_interval : seconds between pictures up to which targets move as in videos; 0: however
@@ -468,7 +469,7 @@ class Stages(Generic[S, A]):
     filter: Filter[S]
     extractor: Extractor[S]
     associator: Associator[A]
-    learning: Learning[Any] | None = None
+    detection_scores: Learning[Any] | None = None
     explainer: Explainer[Any] | None = None
     smoother: Smoother | None = None
     online: OnlineBoxes | None = None

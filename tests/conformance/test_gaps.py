@@ -46,7 +46,7 @@ def test_the_count_after_a_gap_is_right(kind: str, gap: float) -> None:
 
 
 WORLDS = {
-    "scores": {"rates": {"kind": "scores"}},
+    "scores": {"detection_scores": {"kind": "scores"}},
     "ground": {"motion": {"kind": "plane"}, "sensor": {"scaling": "fixed", "fixed_noise": 1.0}},
 }
 

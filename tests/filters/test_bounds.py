@@ -8,7 +8,7 @@ from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans, Mixture
 from phdtrack.models import PlaneSensor
-from phdtrack.models.detection_scores import ScoreOdds
+from phdtrack.models.detection_scores import DetectionScores
 from phdtrack.smooth.smoothing import Smoothing
 
 WRONG = {
@@ -23,7 +23,7 @@ WRONG = {
     KMeans: {"min_weight": 0.0, "split_weight": -1.0, "iterations": 0, "merge_iou": 0.0},
     Mixture: {"min_weight": 0.0, "split_weight": -1.0, "iterations": 0, "merge_iou": 0.0},
     Components: {"min_weight": 0.0, "merge_iou": 0.0},
-    ScoreOdds: {"slope": 0.0, "even_score": 1.0, "max_odds": 0.5},
+    DetectionScores: {"slope": 0.0, "even_score": 1.0, "max_odds": 0.5},
     PlaneSensor: {"size": (0.0, 1.0), "box_noise": (0.1, -1.0), "borders": (0.0, 0, 0, 1)},
     Smoothing: {"reentry_probability": 1.0, "mean_occluded_time": 0.0},
 }  # fmt: skip

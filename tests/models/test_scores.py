@@ -26,15 +26,15 @@ from phdtrack.kernels.detection_scores import (
     scaled,
 )
 from phdtrack.models.clutter import ScoredClutter, UniformClutter
-from phdtrack.models.detection_scores import BOUND, EVEN_LOGIT, KEPT, ScoreOdds, ScoresSeen
+from phdtrack.models.detection_scores import BOUND, EVEN_LOGIT, KEPT, DetectionScores, ScoresSeen
 from phdtrack.protocols import Model
 from phdtrack.types import Detections, SequenceInfo
 
-RULE = ScoreOdds()
-FIRST = ScoreOdds().start()
+RULE = DetectionScores()
+FIRST = DetectionScores().start()
 
 
-def after(rule: ScoreOdds, *scores: np.ndarray) -> ScoresSeen:
+def after(rule: DetectionScores, *scores: np.ndarray) -> ScoresSeen:
     """The state after frames with these scores, of boxes that overlap none."""
     state = rule.start()
     for k, score in enumerate(scores):
@@ -57,7 +57,7 @@ def test_odds_rise_with_the_score_within_their_limits(
     score, scale: float, slope: float, even: float, most: float
 ):
     """Also by rank, where scores are no probabilities."""
-    rule = ScoreOdds(slope, even, most)
+    rule = DetectionScores(slope, even, most)
     score = np.sort(score)
     for seen in (score, scale * score + 2):
         odds, lasting = rule.log_odds(seen, rule.start())
@@ -72,7 +72,7 @@ def test_a_score_between_0_and_1_is_a_probability_on_the_first_frame():
     """That of 0.8 are 4 to 1, over those of the score that says nothing; 0 and 1 are at the
     limits.
     """
-    rule = ScoreOdds(slope=2.0, even_score=0.6, max_odds=400.0)
+    rule = DetectionScores(slope=2.0, even_score=0.6, max_odds=400.0)
     odds, lasting = rule.log_odds(np.array([0.8, 0.0, 1.0, np.nan]), rule.start())
     np.testing.assert_allclose(odds, [2 * np.log(4 / 1.5), -np.log(400), np.log(400), 0])
     np.testing.assert_allclose(lasting[[0, 3]], [np.log(4), 0])
@@ -115,7 +115,7 @@ def test_scores_of_which_some_are_negative_are_log_odds(scores: list[float]):
     np.testing.assert_allclose(lasting, wanted)
     np.testing.assert_allclose(single, np.clip(wanted, -np.log(400), np.log(400)))
     single, _ = RULE.log_odds(np.array([-0.8, 100.0]), FIRST)
-    np.testing.assert_allclose(single, ScoreOdds().log_odds(np.array([3.0, 7.0]), FIRST)[0])
+    np.testing.assert_allclose(single, DetectionScores().log_odds(np.array([3.0, 7.0]), FIRST)[0])
 
 
 @settings(deadline=None)

@@ -71,7 +71,7 @@ def build(
             longest_interval=slowest,
         )
     filter_ = settings.build("filter", frame_size=size)
-    rates = settings.build("rates")
+    scores = settings.build("detection_scores")
     explainer = settings.build("merged_measurements")
     # Births or clutter that lie at pixels hold for a camera that stands still.
     placed = {settings.kind("birth"), settings.kind("clutter")} & {"places", "scene"}
@@ -86,7 +86,7 @@ def build(
         online = None
     extractor = settings.build("extract")
     return Stages(
-        model, filter_, extractor, associator, rates, explainer, smoother, online, camera, slowest
+        model, filter_, extractor, associator, scores, explainer, smoother, online, camera, slowest
     )
 
 

@@ -23,7 +23,7 @@ _SECTIONS = (
     "extract",
     "associate",
     "smooth",
-    "rates",
+    "detection_scores",
 )
 _LIMITS = {"min_score": 0, "min_size": 1}
 

@@ -16,7 +16,7 @@ step of Newton's method on the posterior of (a, b), a Gaussian with the precisio
 so far; what is old is forgotten. Where all scores are the same they say nothing.
 
 How many false alarms there are is learned, too: few detections of targets overlap one neither of
-the frame before nor of the next. Where more than the share `ScoreOdds.usual_alone` are alone, false
+the frame before nor of the next. Where more than the share `DetectionScores.usual_alone` are alone, false
 alarms are as much more than the model says.
 
 False alarms that last, as of a poster or of one's own mirror image, are linked like targets, so
@@ -94,7 +94,7 @@ class ScoresSeen:
 
 
 @dataclass(frozen=True, slots=True)
-class ScoreOdds(Checked, Learning[ScoresSeen]):
+class DetectionScores(Checked, Learning[ScoresSeen]):
     """Settings of what scores are read as before anything is learned.
 
     Parameters
@@ -119,7 +119,7 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
                 f"expected even_score below 1 and max_odds from 1, got {self.even_score:g} and"
                 f" {self.max_odds:g}"
             )
-            raise InputError(problem, where="[rates] of kind scores")
+            raise InputError(problem, where="[detection_scores] of kind scores")
 
     def log_odds(self, score: F8, state: ScoresSeen) -> tuple[F8, F8]:
         """Log p(s|target)/p(s|false alarm) of the scores (n,) of a frame, and the same against
