@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import ROOT, Options, in_parallel, need_data, table, write
-from phdtrack.cli.run_directory import given_tracks
 from phdtrack.formats import read_truth
 from phdtrack.live.events import Event, Tally, Watch, place_events, tallies
 from phdtrack.live.zones import Place
+from phdtrack.run.directory import given_tracks
 from phdtrack.types import F8, Tracks, Truth
 
 

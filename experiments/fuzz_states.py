@@ -34,8 +34,6 @@ import numpy as np
 
 from experiments.fuzz import ROOT, Limits, Report, _shared, campaign
 from phdtrack import Tracker
-from phdtrack.cli.checkpoint import Checkpoint
-from phdtrack.cli.run_directory import KNOWN, LOG
 from phdtrack.config import build_classes, load
 from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
@@ -43,10 +41,12 @@ from phdtrack.live.checkpoint import NAME as STATE
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Watch
 from phdtrack.live.live_page import Page
-from phdtrack.live.sources import LiveFrame, SourceStatus
 from phdtrack.live.zones import Place
+from phdtrack.run.detection_log import Checkpoint
+from phdtrack.run.directory import KNOWN, LOG
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.types import Detections, Frame, SequenceInfo
+from phdtrack.video.live_sources import LiveFrame, SourceStatus
 
 FRAMES = 6
 SIZE = (640, 480)

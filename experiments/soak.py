@@ -33,19 +33,19 @@ from typing import BinaryIO
 
 import numpy as np
 
-from phdtrack.cli.checkpoint import Checkpoint
-from phdtrack.cli.inputs import Inputs
-from phdtrack.cli.run_directory import KNOWN, LOG, claim
 from phdtrack.config import build_classes, load
 from phdtrack.detect import make_detector
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Watch
-from phdtrack.live.sources import LiveFrame, SourceStatus
 from phdtrack.live.zones import Place
+from phdtrack.run.detection_log import Checkpoint
+from phdtrack.run.directory import KNOWN, LOG, claim
+from phdtrack.run.inputs import Inputs
 from phdtrack.state import to_bytes
 from phdtrack.tracker import Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo
 from phdtrack.video import VideoSource
+from phdtrack.video.live_sources import LiveFrame, SourceStatus
 
 FPS = 25
 WIDTH = 640

@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 
 from experiments.soak import HEIGHT, WIDTH, _Replayed, boxes
-from phdtrack.cli.inputs import NO_PICTURE, Inputs
-from phdtrack.cli.job import Job, about, run
-from phdtrack.cli.run_directory import claim
 from phdtrack.config import build_classes, load
 from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.run.directory import claim
+from phdtrack.run.inputs import NO_PICTURE, Inputs
+from phdtrack.run.video import Job, about, run
 from phdtrack.types import Detections, Frame, SequenceInfo
 from phdtrack.video import VideoSource
 
@@ -122,7 +122,7 @@ def test_memory_of_a_frame_is_given_back(
     monkeypatch: pytest.MonkeyPatch,
 ):
     # What is kept of some thousand frames at most is full sooner.
-    monkeypatch.setattr("phdtrack.cli.job._SAMPLE", 100)
+    monkeypatch.setattr("phdtrack.run.video._SAMPLE", 100)
     for name in ("_LATENCIES", "_EVENTS"):
         monkeypatch.setattr(f"phdtrack.live.engine.{name}", 20)
     traced = Traced()

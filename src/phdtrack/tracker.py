@@ -27,7 +27,7 @@ from phdtrack import config, pipeline
 from phdtrack.detect.convert import LeftOut, as_detections, doubtful
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
-from phdtrack.multiclass import ClassSettings, ClassPipelines, forget, input_rows, remember
+from phdtrack.multiclass import ClassPipelines, ClassSettings, forget, input_rows, remember
 from phdtrack.protocols import AnyStages
 from phdtrack.types import I8, LAST_FRAME, STILL, Detections, SequenceInfo, Step, Tracks
 

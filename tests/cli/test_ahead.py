@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 
 import pytest
 
-from phdtrack.cli.inputs import ahead
+from phdtrack.run.inputs import ahead
 
 WAIT = 20.0
 

@@ -13,8 +13,8 @@ from cli_runner import phdtrack, refused
 
 from experiments.common import uniform_density
 from moving_cases import filmed, handheld, moving, points, step
-from phdtrack.cli.observers import _shaking
 from phdtrack.formats import read_warps, write_detections, write_truth
+from phdtrack.run.observers import _shaking
 from phdtrack.scene import LearnedDensity, Scene, write_scene
 from phdtrack.simulate import DetectorModel, Rendered, make_scene
 from phdtrack.types import STILL, Detections, Frame

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
 
-from phdtrack.cli import run_directory as rundir
 from phdtrack.formats import read_tracks
+from phdtrack.run import directory as rundir
 from phdtrack.scene import LearnedDensity, Scene, SceneDensity, write_scene
 from phdtrack.types import Detections, Step
 from phdtrack.video import VideoWriter, open_source
@@ -267,7 +267,7 @@ def test_ctrl_c_leaves_the_groups_up_to_there(
 
     monkeypatch.setattr(GroupObserver, "take", stopped)
     # A busy machine draws little in half a second.
-    monkeypatch.setattr("phdtrack.cli.job._SHORTLY", 600.0)
+    monkeypatch.setattr("phdtrack.run.video._SHORTLY", 600.0)
     said = phdtrack("groups", *detected(street), "--out", tmp_path / "run", "--json")
     assert said.status == 130
     assert said.object["complete"] is False

@@ -21,9 +21,9 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
 
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.checkpoint import Checkpoint
 from phdtrack.files import part_of
+from phdtrack.run import directory as rundir
+from phdtrack.run.detection_log import Checkpoint
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.video import VideoWriter, open_source
 
@@ -247,7 +247,7 @@ def test_a_second_signal_ends_at_once(clip: Path, tmp_path: Path) -> None:
     )
     code = code.replace(
         "main()",
-        "import phdtrack.cli.job as job, time\njob._draw = lambda *a: time.sleep(600)\nmain()",
+        "import phdtrack.run.video as job, time\njob._draw = lambda *a: time.sleep(600)\nmain()",
     )
     with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True) as child:
         assert child.stderr is not None
@@ -372,7 +372,7 @@ def test_a_full_disk_leaves_no_cut_file_and_is_said(
 def test_a_folder_that_is_gone_is_no_success(
     clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import phdtrack.cli.job as job
+    import phdtrack.run.video as job
 
     real = job._draw
     out = tmp_path / "run"

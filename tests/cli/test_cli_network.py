@@ -14,7 +14,6 @@ import pytest
 from cli_runner import phdtrack, refused
 
 import networks
-from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.live import Maker
 from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions
 from phdtrack.cli.track import prepare
@@ -23,6 +22,7 @@ from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.onnx import OnnxDetector
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections
+from phdtrack.run import directory as rundir
 from phdtrack.state import blocks, to_bytes
 from phdtrack.types import SequenceInfo
 from phdtrack.video import VideoWriter
@@ -50,7 +50,7 @@ def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(made, tmp_path / "work")
     monkeypatch.chdir(tmp_path / "work")
     # Pictures of a report take longer than all that is looked at here.
-    monkeypatch.setattr("phdtrack.cli.job.report_html", lambda *_: "")
+    monkeypatch.setattr("phdtrack.run.video.report_html", lambda *_: "")
     return tmp_path / "work"
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
 
-from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import simulate as demo
 from phdtrack.formats import find_seqinfo, read_detections, read_truth
+from phdtrack.run import directory as rundir
 from phdtrack.video import open_source
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
-from phdtrack.cli import run_directory as rundir
 from phdtrack.formats import read_detections, read_tracks
+from phdtrack.run import directory as rundir
 from phdtrack.video import VideoWriter, open_source
 
 FILES = {rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.REPORT, rundir.RUN}

@@ -16,10 +16,6 @@ import numpy as np
 import pytest
 
 from phdtrack.associate.graph import GraphMatching
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import DEPTH, Inputs, expected
-from phdtrack.cli.job import Job, Outcome, run
-from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.show_settings import detections_needed
 from phdtrack.config import build, load
 from phdtrack.errors import InputError
@@ -30,6 +26,10 @@ from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth
 from phdtrack.multiclass import ClassSettings
 from phdtrack.protocols import Model, Stages
 from phdtrack.report import About, Annotator
+from phdtrack.run import directory as rundir
+from phdtrack.run.inputs import DEPTH, Inputs, expected
+from phdtrack.run.observers import RunObserver
+from phdtrack.run.video import Job, Outcome, run
 from phdtrack.tracker import FinalTracks, Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
@@ -266,7 +266,7 @@ def test_a_signal_while_corrected_tracks_are_smoothed_waits_for_them(
 def test_after_a_signal_a_long_video_is_not_drawn_to_its_end(
     job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phdtrack.cli.job._SHORTLY", 0.0)
+    monkeypatch.setattr("phdtrack.run.video._SHORTLY", 0.0)
     outcome = run(job, directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     assert len(list(open_source(directory.file(rundir.VIDEO)))) == 1
@@ -306,7 +306,7 @@ def test_an_observer_gets_the_corrected_tracks_of_a_camera_from_the_beginning(
         def finish(self, directory: rundir.RunDirectory, tracks: Tracks) -> None:
             given.append(tracks)
 
-    monkeypatch.setattr("phdtrack.cli.job.FinalTracks", partial(FinalTracks, lag=0.1, every=0.1))
+    monkeypatch.setattr("phdtrack.run.video.FinalTracks", partial(FinalTracks, lag=0.1, every=0.1))
     short = replace(job.kinds.usual, associator=GraphMatching(history=0.4))
     camera = replace(job.inputs, source=Clip(once=True), again=False)
     run(

@@ -14,10 +14,10 @@ import pytest
 from cli_runner import phdtrack, refused, walkers
 from pyarrow import parquet
 
-from phdtrack.cli.run_directory import claim, given_tracks
-from phdtrack.cli.segments import Segment, cut, join
 from phdtrack.formats import read_tracks
 from phdtrack.metrics import evaluate
+from phdtrack.run.directory import claim, given_tracks
+from phdtrack.run.segments import Segment, cut, join
 from phdtrack.types import Tracks, Truth
 
 CUT = ("--segment", "0.8s", "--overlap", "0.48s", "--jobs", 1)

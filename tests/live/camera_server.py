@@ -20,7 +20,7 @@ import av
 import cv2
 import numpy as np
 
-from phdtrack.live.sources import LiveFrame, SourceStatus
+from phdtrack.video.live_sources import LiveFrame, SourceStatus
 
 HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
 

@@ -20,9 +20,9 @@ from phdtrack.live import engine
 from phdtrack.live.checkpoint import LOST, NAME
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Count, Watch, WatchState
-from phdtrack.live.sources import LiveFrame, SourceStatus
 from phdtrack.live.zones import Place
 from phdtrack.types import Detections, SequenceInfo
+from phdtrack.video.live_sources import LiveFrame, SourceStatus
 
 DOOR = Place("door", ((80.0, 119.0), (80.0, 0.0)), closed=False)
 START = 1_790_000_000.0

@@ -17,16 +17,16 @@ import numpy as np
 import pytest
 from camera_server import SIDE, WALL, Scripted, until
 
-from phdtrack.config import build_groups, build_classes, load
+from phdtrack.config import build_classes, build_groups, load
 from phdtrack.groups.group_stages import OnlineGroups
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Event, Maps, Watch
 from phdtrack.live.outputs import stamp
-from phdtrack.live.sources import LiveFrame
 from phdtrack.live.zones import Place, write_places
 from phdtrack.tracker import Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo
 from phdtrack.video import open_source
+from phdtrack.video.live_sources import LiveFrame
 
 DOOR = Place("door", ((80.0, 119.0), (80.0, 0.0)), closed=False)
 

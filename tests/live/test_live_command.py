@@ -184,7 +184,7 @@ def test_nobody_else_writes_into_its_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code = (
-        "import pathlib, sys\nfrom phdtrack.cli.run_directory import"
+        "import pathlib, sys\nfrom phdtrack.run.directory import"
         " claim\nclaim(pathlib.Path(sys.argv[1]), False, {})"
     )
     said = list[str]()

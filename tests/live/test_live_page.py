@@ -22,10 +22,10 @@ from phdtrack.config import build_classes, load
 from phdtrack.detect import make_detector
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.live_page import METRICS, live_app
-from phdtrack.live.sources import LiveSource
 from phdtrack.live.zones import Place, read_places, write_places
 from phdtrack.types import Detections, SequenceInfo
 from phdtrack.video import open_source
+from phdtrack.video.live_sources import LiveSource
 
 DOOR = Place('the "door"', ((80.0, 119.0), (80.0, 0.0)), closed=False)
 ROOM = Place(

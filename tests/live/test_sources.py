@@ -16,8 +16,8 @@ import pytest
 from camera_server import CameraServer, HlsServer, RtspServer, until
 
 from phdtrack.live import sources
-from phdtrack.live.sources import LONGEST_PAUSE, LiveFrame, LiveSource, named, shown
 from phdtrack.video import VideoWriter
+from phdtrack.video.live_sources import LONGEST_PAUSE, LiveFrame, LiveSource, named, shown
 
 
 @pytest.fixture

@@ -20,11 +20,11 @@ from camera_server import CameraServer, Scripted, until, walker
 from typer.testing import CliRunner
 
 from phdtrack import Tracker
-from phdtrack.cli import inputs
 from phdtrack.cli.app import application
-from phdtrack.cli.inputs import Inputs
 from phdtrack.cli.options import SourceOptions
 from phdtrack.errors import InputError
+from phdtrack.run import inputs
+from phdtrack.run.inputs import Inputs
 from phdtrack.tracker import FinalTracks
 from phdtrack.types import Frame
 from phdtrack.video import open_source

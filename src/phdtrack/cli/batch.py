@@ -28,17 +28,17 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.app import Misuse, application
-from phdtrack.cli.checkpoint import source_of
-from phdtrack.cli.inputs import TABLES, comes_again, open_inputs
 from phdtrack.cli.options import SourceOptions, one_of, option, seconds
 from phdtrack.cli.output import PACE, Output, counted, progress
-from phdtrack.cli.segments import Segment, cut, join
 from phdtrack.errors import InputError, needed
 from phdtrack.files import load, read_json, whole
 from phdtrack.parallel import Failed, on_ray, outcomes
 from phdtrack.report import write_run
+from phdtrack.run import directory as rundir
+from phdtrack.run.detection_log import source_of
+from phdtrack.run.inputs import TABLES, comes_again, open_inputs
+from phdtrack.run.segments import Segment, cut, join
 from phdtrack.video import open_source
 from phdtrack.video.reading import SUFFIXES
 

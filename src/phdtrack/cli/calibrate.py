@@ -8,7 +8,6 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from phdtrack.cli.inputs import frame_size
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
@@ -18,6 +17,7 @@ from phdtrack.formats.text import read_columns
 from phdtrack.ground import Calibration, fit_homography, footprint
 from phdtrack.ground.camera_files import calibration_text
 from phdtrack.groups.clusters import polygon_area
+from phdtrack.run.inputs import frame_size
 from phdtrack.types import F8, Bool
 
 # A point is a line of these, in this order where there is no header.

@@ -16,11 +16,8 @@ import typer
 
 from phdtrack import compare as comparing
 from phdtrack.cli import options as given
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.job import about
 from phdtrack.cli.options import option
 from phdtrack.cli.output import PACE, Output, progress
-from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.show_settings import detections_needed, only_classes, scene_settings
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.results import Results
@@ -30,6 +27,9 @@ from phdtrack.errors import InputError
 from phdtrack.files import write_text
 from phdtrack.report import About, write_run
 from phdtrack.report.pages import lines
+from phdtrack.run import directory as rundir
+from phdtrack.run.directory import RunDirectory
+from phdtrack.run.video import about
 
 DOCUMENT = "compare.json"
 CELLS = "compare.csv"

@@ -20,13 +20,8 @@ import typer
 
 from phdtrack.arrays import pixelated
 from phdtrack.cli import options as given
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.checkpoint import EVERY
-from phdtrack.cli.inputs import NO_PICTURE, TABLES, comes_again, frame_size, refuse
-from phdtrack.cli.observers import Report, RunObserver
 from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, number, progress
-from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.show_settings import chosen, scene_settings
 from phdtrack.cli.track import finish, prepare
 from phdtrack.errors import InputError, shown
@@ -38,6 +33,11 @@ from phdtrack.pipeline import TrackingState
 from phdtrack.report import Annotator
 from phdtrack.report.drawing import draw_plates
 from phdtrack.report.pages import render
+from phdtrack.run import directory as rundir
+from phdtrack.run.detection_log import EVERY
+from phdtrack.run.directory import RunDirectory
+from phdtrack.run.inputs import NO_PICTURE, TABLES, comes_again, frame_size, refuse
+from phdtrack.run.observers import Report, RunObserver
 from phdtrack.types import Detections, Image, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoSource, VideoWriter, open_source
 

@@ -13,8 +13,6 @@ import numpy as np
 import typer
 
 from phdtrack.cli import options as given
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import refuse
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
 from phdtrack.errors import InputError
@@ -31,6 +29,8 @@ from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_bo
 from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.causes import FALSE, PLACES
 from phdtrack.report.pages import score_meanings
+from phdtrack.run import directory as rundir
+from phdtrack.run.inputs import refuse
 from phdtrack.types import I8, Tracks, Truth
 
 # The scores that a table shows, in its order: keys of `Scores.as_dict`.

@@ -10,12 +10,12 @@ import numpy as np
 import typer
 
 from phdtrack.cli import options as given
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import frame_size
 from phdtrack.cli.options import listed, one_of, option
 from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
 from phdtrack.formats import EXPORTS, export_tracks
+from phdtrack.run import directory as rundir
+from phdtrack.run.inputs import frame_size
 
 _TO = f"Format: {', '.join(EXPORTS)}."
 

@@ -18,13 +18,8 @@ import numpy as np
 
 from phdtrack import config
 from phdtrack.cli import options as given
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.checkpoint import EVERY
-from phdtrack.cli.job import places
-from phdtrack.cli.observers import Draw, Report, RunObserver
 from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, progress
-from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.show_settings import chosen, scene_settings
 from phdtrack.cli.track import finish, prepare
 from phdtrack.config import Settings, build_groups, ground_model
@@ -42,6 +37,11 @@ from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours
 from phdtrack.report.pages import lines, render
+from phdtrack.run import directory as rundir
+from phdtrack.run.detection_log import EVERY
+from phdtrack.run.directory import RunDirectory
+from phdtrack.run.observers import Draw, Report, RunObserver
+from phdtrack.run.video import places
 from phdtrack.types import (
     F8,
     I8,

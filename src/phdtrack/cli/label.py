@@ -26,8 +26,6 @@ import typer
 from phdtrack import __version__
 from phdtrack.arrays import pixelated
 from phdtrack.cli import options as given
-from phdtrack.cli.checkpoint import source_of
-from phdtrack.cli.inputs import NO_PICTURE, Inputs, ahead, comes_again, open_inputs, write_detected
 from phdtrack.cli.options import PageOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.show_settings import chosen
@@ -45,6 +43,8 @@ from phdtrack.label.learn_scene import SceneTraining
 from phdtrack.label.samples import LONGEST, Marks, clip, shuffled
 from phdtrack.label.suggestions import Background, Evidence, Suggestion, suggest
 from phdtrack.report.pages import render
+from phdtrack.run.detection_log import source_of
+from phdtrack.run.inputs import NO_PICTURE, Inputs, ahead, comes_again, open_inputs, write_detected
 from phdtrack.scene import write_scene
 from phdtrack.types import DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import open_source

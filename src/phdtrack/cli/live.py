@@ -23,9 +23,7 @@ import typer
 
 from phdtrack import config
 from phdtrack.cli import options as given
-from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
-from phdtrack.cli.inputs import refuse
 from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, TrackingOptions, option, size
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.show_settings import chosen, scene_settings
@@ -38,9 +36,11 @@ from phdtrack.live.checkpoint import EVERY
 from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook, receivers
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Watch
-from phdtrack.live.sources import LiveSource, check_address, named
 from phdtrack.models import PlaneSensor
+from phdtrack.run import directory as rundir
+from phdtrack.run.inputs import refuse
 from phdtrack.types import SequenceInfo
+from phdtrack.video.live_sources import LiveSource, check_address, named
 
 Names = Mapping[int, str] | None
 # Seconds that are remembered of tracks; that all cameras may take to end; lines that may wait for a

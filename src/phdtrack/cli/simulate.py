@@ -13,10 +13,7 @@ import numpy as np
 import typer
 
 from phdtrack.cli import options as given
-from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.evaluate import score_table
-from phdtrack.cli.inputs import ahead
-from phdtrack.cli.job import run
 from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.show_settings import chosen
@@ -24,6 +21,9 @@ from phdtrack.cli.track import prepare
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import write_text
 from phdtrack.formats import write_detections, write_truth
+from phdtrack.run import directory as rundir
+from phdtrack.run.inputs import ahead
+from phdtrack.run.video import run
 from phdtrack.simulate import (
     NAMED,
     Look,

@@ -13,11 +13,6 @@ from typing import Annotated, Any
 
 from phdtrack import config
 from phdtrack.cli import options as given
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.checkpoint import EVERY, source_of
-from phdtrack.cli.inputs import frame_range, open_inputs, write_detected
-from phdtrack.cli.job import Job, about, run
-from phdtrack.cli.observers import CameraObserver, mover_of
 from phdtrack.cli.options import (
     DEFAULT_DETECTOR,
     RunOptions,
@@ -31,6 +26,11 @@ from phdtrack.config import Settings, load
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
 from phdtrack.formats import read_truth
+from phdtrack.run import directory as rundir
+from phdtrack.run.detection_log import EVERY, source_of
+from phdtrack.run.inputs import frame_range, open_inputs, write_detected
+from phdtrack.run.observers import CameraObserver, mover_of
+from phdtrack.run.video import Job, about, run
 
 # Seconds that a tracker remembers of a camera. Its corrected rows are final after half a minute and
 # are made every half minute, so that each has half a minute of its past at least, and is smoothed

@@ -9,8 +9,8 @@ from phdtrack.config.settings import Settings, load, overlay
 __all__ = [
     "Settings",
     "build",
-    "build_groups",
     "build_classes",
+    "build_groups",
     "for_detector",
     "ground_model",
     "load",

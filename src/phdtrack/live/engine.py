@@ -23,7 +23,6 @@ from phdtrack.live.checkpoint import LOST, HeldFrame, SavedCamera, SavedWatch, k
 from phdtrack.live.delivery import Courier
 from phdtrack.live.events import Event, Maps, Minute, Watch, WatchState
 from phdtrack.live.outputs import EventLog, RowsLog, VideoLog, stamp
-from phdtrack.live.sources import LiveFrame, LiveSource
 from phdtrack.live.zones import read_places
 from phdtrack.multiclass import ClassSettings
 from phdtrack.report import Annotator
@@ -40,6 +39,7 @@ from phdtrack.types import (
     Tracks,
     UpdateInfo,
 )
+from phdtrack.video.live_sources import LiveFrame, LiveSource
 
 # Minutes of counts that are kept; cells of the maps across; a cell forgets half of what it knows in
 # so many seconds.

@@ -28,11 +28,11 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from phdtrack import __version__
-from phdtrack.cli.inputs import Detected, Inputs, Mover, detected, learn_scene
-from phdtrack.cli.run_directory import DETECTED, KNOWN, LOG, RunDirectory
 from phdtrack.detect import knowledge, restore
 from phdtrack.errors import InputError
 from phdtrack.files import cannot_write, json_value, part_of, publish, whole
+from phdtrack.run.directory import DETECTED, KNOWN, LOG, RunDirectory
+from phdtrack.run.inputs import Detected, Inputs, Mover, detected, learn_scene
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.types import STILL, Detections, Frame
 

@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.arrays import iou
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.job import finish_document
 from phdtrack.files import load, read_json
 from phdtrack.formats.write import Lines
 from phdtrack.metrics.matching import above, assign
+from phdtrack.run import directory as rundir
+from phdtrack.run.video import finish_document
 from phdtrack.types import F8, I8
 
 # Boxes of one object overlap so much, and do so in as large a share of the frames in which two

@@ -24,13 +24,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numba.core import event
 
-from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
-from phdtrack.cli.checkpoint import Checkpoint, source_of
-from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expected, learn_scene
-from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.output import Advance, progress, versions
-from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.show_settings import confirmation
 from phdtrack.detect import BACKGROUND
 from phdtrack.detect.detectors import prepared, unsuited
@@ -51,6 +46,11 @@ from phdtrack.report import (
     write_run,
 )
 from phdtrack.report.pages import doubts, lines
+from phdtrack.run import directory as rundir
+from phdtrack.run.detection_log import Checkpoint, source_of
+from phdtrack.run.directory import RunDirectory
+from phdtrack.run.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expected, learn_scene
+from phdtrack.run.observers import RunObserver
 from phdtrack.tracker import FinalTracks, Tracker, uninterrupted
 from phdtrack.types import F8, Detections, Frame, Image, Step, Tracks, Truth
 from phdtrack.video import VideoWriter

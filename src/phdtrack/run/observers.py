@@ -10,9 +10,6 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import Inputs, Mover
-from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
 from phdtrack.formats.columns import WarpsWriter, read_warps
@@ -21,6 +18,9 @@ from phdtrack.models.scene import refuse_standing
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Model
 from phdtrack.report.pages import render
+from phdtrack.run import directory as rundir
+from phdtrack.run.directory import RunDirectory
+from phdtrack.run.inputs import Inputs, Mover
 from phdtrack.types import F8, STILL, Detections, Frame, Image, Step, Tracks
 from phdtrack.video.ego_motion import CameraMotion
 

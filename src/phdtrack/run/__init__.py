@@ -1,0 +1,1 @@
+"""A run as a library: from a source to the files of a directory, without a command line."""
