@@ -115,7 +115,7 @@ def xml_of(path: Path) -> object:
             ", line 2",
             "expected 7 values",
         ),
-        (read_detections, b"1,-1,1,2,3\0,4\n", ", line 1", "no UTF-8 text"),
+        (read_detections, b"1,-1,1,2,3\0,4\n", ", line 1", "not UTF-8 text"),
         (read_truth, b"1,1,1e400,2,3,4,1\n", ", line 1", "finite numbers"),
         (read_tracks, b"frame,id,left,top,width,height,class\n", "", ""),
         (

@@ -77,7 +77,7 @@ def test_a_header_may_name_the_columns_in_any_order(tmp_path: Path) -> None:
     [
         ("", [], "four points or more, came 0"),
         ("1 2 3 4\n5 6 7 8\n9 9 1 0\n", [], "four points or more, came 3"),
-        ("1 2 3\n", [], "expected 4 or 5 columns, u, v, x, y, z; came 3 numbers a line"),
+        ("1 2 3\n", [], "expected 4 or 5 columns, u, v, x, y, z; got 3 numbers a line"),
         ("1 2 3 4\n5 6 seven 8\n", [], "line 2: expected a number for the x"),
         ("1 2 3 4\n5 6 nan 8\n", [], "line 2: expected finite numbers"),
         (
@@ -85,8 +85,8 @@ def test_a_header_may_name_the_columns_in_any_order(tmp_path: Path) -> None:
             [],
             "line 2: expected points of the ground, Z = 0, got Z = 1.8",
         ),
-        ("u v X\n1 2 3\n", [], "expected 4 or 5 columns, u, v, x, y, z; came u, v, x"),
-        ("u v X Y x\n1 2 3 4 5\n", [], "came u, v, x, y, x"),
+        ("u v X\n1 2 3\n", [], "expected 4 or 5 columns, u, v, x, y, z; got u, v, x"),
+        ("u v X Y x\n1 2 3 4 5\n", [], "got u, v, x, y, x"),
         ("0 0 0 0\n10 10 1 1\n20 20 2 2\n30 30 3 3\n", [], "one line in the image"),
         (
             "0 0 0 0\n900 10 1 1\n",

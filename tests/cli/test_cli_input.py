@@ -144,7 +144,7 @@ def test_rows_that_are_wrong_are_left_out_where_that_is_asked_for(
     )
     assert said.status == 0, said.err
     first = f"{path}, line 5: expected finite numbers for the box"
-    assert f"2 rows that are wrong are left out, the first: {first}" in said.err
+    assert f"2 malformed rows skipped, the first: {first}" in said.err
     document = said.object
     assert document["input"]["rows_left_out"] == 2
     assert document["input"]["first_left_out"].startswith(first)

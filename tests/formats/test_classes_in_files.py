@@ -22,7 +22,7 @@ WORDS = st.text(st.characters(categories=["L"]), min_size=1, max_size=8).filter(
 
 
 @given(st.data(), st.lists(WORDS, max_size=4, unique=True), st.booleans())
-def test_detections_and_tracks_come_back(
+def test_classes_survive_writing_and_reading(
     tmp_path_factory, data: st.DataObject, words: list[str], spread: bool
 ) -> None:
     names = dict(enumerate(words))
@@ -49,7 +49,7 @@ def test_detections_and_tracks_come_back(
     assert {line.count(",") for line in path.read_text().splitlines()} == {11}
 
 
-def test_words_in_a_csv_file_types_of_kitti_and_categories_of_coco(tmp_path: Path) -> None:
+def test_class_names_of_csv_kitti_and_coco(tmp_path: Path) -> None:
     path = tmp_path / "d.csv"
     path.write_text(
         "frame,class,x1,y1,x2,y2,score\n1,person,0,0,9,9,.5\n1,traffic"
@@ -80,6 +80,6 @@ def test_words_in_a_csv_file_types_of_kitti_and_categories_of_coco(tmp_path: Pat
     assert (table.names, table.detections.class_id.tolist()) == ({3: "car"}, [3])
     path.write_text("frame,class,x1,y1,x2,y2\n1,person,0,0,9,9\n1,3,0,0,9,9\n")
     with pytest.raises(
-        InputError, match="line 3: expected a word for the class, as before, came '3'"
+        InputError, match="line 3: expected a word for the class, as before, got '3'"
     ):
         read_detections(path)

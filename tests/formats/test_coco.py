@@ -21,7 +21,7 @@ def result(image: object = 1, **more: object) -> dict[str, Any]:
     return {"image_id": image, "bbox": [1, 2, 3, 4], **more}
 
 
-def test_a_list_of_results(tmp_path: Path) -> None:
+def test_list_of_results_is_read(tmp_path: Path) -> None:
     path = written(tmp_path, [result(4, score=-0.5, category_id=3), result("000002")])
     table = read_detections(path)
     assert table.frame.tolist() == [2, 4]
@@ -45,7 +45,7 @@ def test_a_list_of_results(tmp_path: Path) -> None:
         ([{}, {}], [70, 80]),
     ],
 )
-def test_a_data_set_numbers_its_frames(
+def test_data_set_numbers_its_frames(
     tmp_path: Path, names: list[dict[str, Any]], frames: list[int]
 ) -> None:
     images = [{"id": number, **name} for number, name in zip((70, 80), names, strict=True)]
@@ -64,7 +64,7 @@ def test_a_data_set_numbers_its_frames(
 
 
 @pytest.mark.parametrize("document", [[], {"images": [], "annotations": []}])
-def test_nothing_in_it(tmp_path: Path, document: object) -> None:
+def test_empty_coco_file_has_no_rows(tmp_path: Path, document: object) -> None:
     path = written(tmp_path, document)
     assert len(read_detections(path)) == len(read_truth(path)) == len(read_tracks(path)) == 0
 
@@ -73,27 +73,27 @@ def test_nothing_in_it(tmp_path: Path, document: object) -> None:
     ("document", "where", "words"),
     [
         ('[\n{"image_id": 1,\n', ", line 3", "JSON, which breaks here"),
-        ({"images": []}, "", "list of annotations, came keys images"),
-        ({"annotations": 3}, "", "list of annotations, came annotations = 3"),
-        ([result(), 7], ", entry 2", "object with image_id and bbox, came 7"),
-        ([result(), {"bbox": [1, 2, 3, 4]}], ", entry 2", "value for image_id, came keys bbox"),
+        ({"images": []}, "", "list of annotations, got keys images"),
+        ({"annotations": 3}, "", "list of annotations, got annotations = 3"),
+        ([result(), 7], ", entry 2", "object with image_id and bbox, got 7"),
+        ([result(), {"bbox": [1, 2, 3, 4]}], ", entry 2", "value for image_id, got keys bbox"),
         ([result(), result(bbox=[1, 2, 3])], ", entry 2", "four numbers for bbox"),
-        ([result(), result(bbox=[1, 2, 3, "x"])], ", entry 2", "a number for bbox, came 'x'"),
-        ([result(), result(bbox=[1, 2, -1, 4])], ", entry 2", "above 0, came width -1, height 4"),
-        ([result(), result(score=None)], ", entry 2", "a number for score, came None"),
+        ([result(), result(bbox=[1, 2, 3, "x"])], ", entry 2", "a number for bbox, got 'x'"),
+        ([result(), result(bbox=[1, 2, -1, 4])], ", entry 2", "above 0, got width -1, height 4"),
+        ([result(), result(score=None)], ", entry 2", "a number for score, got None"),
         ([result(), result(10**400)], ", line 1", "hundreds of digits"),
         ([result(), result("a")], ", entry 2", "a number for image_id"),
         ('[{"image_id": 1, "bbox": [NaN, 1, 1, 1]}]', ", entry 1", "finite numbers for the box"),
         (
             {"images": [{"id": 1}], "annotations": [result(2)]},
             ", annotation 1",
-            "one of the images, came image_id 2",
+            "one of the images, got image_id 2",
         ),
         ({"images": [3], "annotations": []}, ", image 1", "object with id and file_name"),
         (
             {"images": [{"id": 1, "video_id": 1}, {"id": 2, "video_id": 2}], "annotations": []},
             "",
-            "one video, came 2",
+            "one video, got 2",
         ),
         ("[" * 100_000, "", "nested without end"),
     ],
@@ -104,7 +104,7 @@ def test_the_message_names_the_place(
     refused(read_detections, written(tmp_path, document), where, words)
 
 
-def test_truth_needs_identities_once_a_frame(tmp_path: Path) -> None:
+def test_truth_needs_unique_identities(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match="entry 1: expected a value for track_id or instance_id or identity"
     ):

@@ -25,7 +25,7 @@ GOOD = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def test_boxes_of_objects_and_not_of_groups(tmp_path: Path) -> None:
+def test_boxes_of_groups_are_skipped(tmp_path: Path) -> None:
     path = put(tmp_path, GOOD, "scene.xml")
     truth = read_truth(path)
     assert truth.frame.tolist() == [1, 1, 3]
@@ -36,7 +36,7 @@ def test_boxes_of_objects_and_not_of_groups(tmp_path: Path) -> None:
     assert read_detections(path).detections.xyxy.tolist() == truth.xyxy.tolist()
 
 
-def test_another_first_frame(tmp_path: Path) -> None:
+def test_first_frame_can_be_given(tmp_path: Path) -> None:
     path = put(
         tmp_path,
         GOOD.replace('number="0"', 'number="1"').replace('number="1"><objectlist/>', 'number="3">'),
@@ -50,13 +50,13 @@ def test_another_first_frame(tmp_path: Path) -> None:
     [
         (('xc="20"', 'xc="twenty"'), 6, "a finite number for xc of <box>, came 'twenty'"),
         (('xc="20" ', ""), 6, "<box> with a value for xc"),
-        (('w="4" xc="20"', 'w="0" xc="20"'), 6, "width and a height above 0, came width 0"),
+        (('w="4" xc="20"', 'w="0" xc="20"'), 6, "width and a height above 0, got width 0"),
         (
             ('id="7"><box h="10" w="4" xc="20"', 'id="0"><box h="10" w="4" xc="20"'),
             6,
             "identity 0 is in frame 1",
         ),
-        (('number="2"', 'number="-1"'), 13, "expected frame 0 or later, came -1"),
+        (('number="2"', 'number="-1"'), 13, "expected frame 0 or later, got -1"),
         (('<object id="0">', "<object>"), 5, "<object> with a value for id"),
         (
             ("</objectlist>\n    <grouplist>", "\n    <grouplist>"),
@@ -70,12 +70,12 @@ def test_another_first_frame(tmp_path: Path) -> None:
                 '<box h="1" w="1" xc="1" yc="1"/><frame number="1">',
             ),
             12,
-            "came one outside",
+            "got one outside",
         ),
         (
             ("dataset", "Camera"),
             2,
-            "outermost element is <dataset> or <annotations>, came <Camera>",
+            "outermost element is <dataset> or <annotations>, got <Camera>",
         ),
     ],
 )

@@ -50,7 +50,7 @@ def tracks(draw: st.DrawFn) -> Tracks:
 @pytest.mark.parametrize("kind", sorted(EXPORTS.keys() - {"rerun"}))
 @settings(max_examples=15, deadline=None)
 @given(original=tracks(), named=st.booleans())
-def test_what_is_exported_comes_back(
+def test_exported_tracks_are_read_back(
     tmp_path_factory: pytest.TempPathFactory, kind: str, original: Tracks, named: bool
 ) -> None:
     path = tmp_path_factory.getbasetemp() / f"tracks{EXPORTS[kind]}"
@@ -80,7 +80,7 @@ def test_what_is_exported_comes_back(
         assert truth.regions.size == 0
 
 
-def test_a_track_ends_in_cvat_where_it_is_lost_and_images_have_no_identities(
+def test_cvat_track_gaps_and_images_without_identities(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "t.xml"
@@ -106,7 +106,7 @@ def test_a_track_ends_in_cvat_where_it_is_lost_and_images_have_no_identities(
     refused(read_detections, path, ", line 2", "finite number for xtl")
 
 
-def test_lines_of_json_by_others(tmp_path: Path) -> None:
+def test_json_lines_of_other_programs(tmp_path: Path) -> None:
     rows = [
         {"frame_id": 1, "bbox": [1, 2, 3, 4], "label": "car"},
         {"frame_id": 2, "bbox": [1, 2, 3, 4], "label": "bus, red"},
@@ -125,7 +125,7 @@ def test_lines_of_json_by_others(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["class", "class_name", "category_name", "label"])
-def test_a_class_may_be_a_word_under_any_usual_name(tmp_path: Path, name: str) -> None:
+def test_class_column_has_several_names(tmp_path: Path, name: str) -> None:
     path = put(tmp_path, f"frame,x1,y1,x2,y2,score,{name}\n1,0,0,9,9,.5,car\n", "d.csv")
     assert read_detections(path).names == {1: "car"}
 
@@ -136,7 +136,7 @@ def test_an_unknown_format_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_rerun_recording_has_boxes_trails_and_both_timelines(tmp_path: Path) -> None:
+def test_rerun_recording_has_boxes_trails_and_timelines(tmp_path: Path) -> None:
     """Identity 4 is away in frame 3: it is cleared there, and its trail goes on."""
     pytest.importorskip("rerun", reason="Rerun is not installed (pip install 'phdtrack[rerun]')")
     from rerun.chunk import RrdReader
@@ -182,7 +182,7 @@ def test_a_rerun_recording_has_boxes_trails_and_both_timelines(tmp_path: Path) -
     assert {row["labels"][0] for row in found["/tracks/7"] if "labels" in row} == {"7 car"}
 
 
-def test_without_rerun_the_line_that_installs_it_is_named(
+def test_missing_rerun_is_reported_with_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)

@@ -13,7 +13,7 @@ from phdtrack.errors import InputError
 from phdtrack.formats import read_tracks, read_truth
 
 
-def test_mot15_leaves_out_rows_of_confidence_zero(tmp_path: Path) -> None:
+def test_mot15_skips_rows_of_confidence_zero(tmp_path: Path) -> None:
     truth = read_truth(
         put(tmp_path, "1,1,0,0,5,5,1,-1,-1,-1\n1,2,9,9,5,5,0,-1,-1,-1\n2,2,9,9,5,5,1,1.5,2.5,0\n")
     )
@@ -30,11 +30,11 @@ def test_a_header_may_mark_distractors(tmp_path: Path) -> None:
     truth = read_truth(put(tmp_path, rows))
     assert truth.frame.tolist() == [1, 1]
     assert truth.distractor.tolist() == [True, False]
-    with pytest.raises(InputError, match=r"line 2: expected 0 or 1 for distractor, came 2"):
+    with pytest.raises(InputError, match=r"line 2: expected 0 or 1 for distractor, got 2"):
         read_truth(put(tmp_path, "frame,id,x1,y1,x2,y2,distractor\n1,1,0,0,5,5,2\n"))
 
 
-def test_an_identity_twice_in_a_frame(tmp_path: Path) -> None:
+def test_repeated_identity_in_a_frame_is_refused(tmp_path: Path) -> None:
     path = put(tmp_path, "2,7,0,0,5,5\n1,7,0,0,5,5\n\n2,7,9,9,5,5\n")
     for reader in (read_truth, read_tracks):
         with pytest.raises(
@@ -44,16 +44,16 @@ def test_an_identity_twice_in_a_frame(tmp_path: Path) -> None:
             reader(path)
 
 
-def test_classes_outside_the_benchmark(tmp_path: Path) -> None:
+def test_class_outside_the_benchmark_is_refused(tmp_path: Path) -> None:
     path = put(tmp_path, "1,1,0,0,5,5,1,1,1\n1,2,0,0,5,5,1,14,1\n")
     refused(
-        read_truth, path, ", line 2", "expected a whole number from 1 to 13 for the class, came 14"
+        read_truth, path, ", line 2", "expected a whole number from 1 to 13 for the class, got 14"
     )
     nine_without_classes = "1,1,0,0,5,5,1,-1,-1\n1,2,9,9,5,5,0,-1,-1\n"
     assert read_truth(put(tmp_path, nine_without_classes)).identity.tolist() == [1]
 
 
-def test_the_choice_of_distractors(tmp_path: Path) -> None:
+def test_distractor_classes_of_mot16_and_mot20(tmp_path: Path) -> None:
     rows = "1,1,0,0,5,5,1,1,1\n1,2,0,0,5,5,0,6,1\n1,3,0,0,5,5,0,7,1\n1,4,0,0,5,5,0,3,1\n"
     assert read_truth(put(tmp_path, rows)).identity.tolist() == [1, 3]
     assert read_truth(put(tmp_path, rows, "MOT20-01/gt/gt.txt")).identity.tolist() == [1, 2, 3]
@@ -61,7 +61,7 @@ def test_the_choice_of_distractors(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("benchmark", ["MOT16", "MOT20"])
 @pytest.mark.filterwarnings("ignore")
-def test_classes_as_trackeval_takes_them(
+def test_scored_classes_agree_with_trackeval(
     tmp_path: Path, benchmark: str, rng: np.random.Generator
 ) -> None:
     """Every class with either flag, in boxes that do not touch."""
@@ -109,7 +109,7 @@ def test_classes_as_trackeval_takes_them(
         "frame,id,left,top,width,height,region\n1,1,0,0,5,5,0\n1,-1,0,0,5,5,1\n",
     ],
 )
-def test_truth_taken_as_tracks_has_only_what_counts(tmp_path: Path, text: str) -> None:
+def test_truth_read_as_tracks_has_only_scored_rows(tmp_path: Path, text: str) -> None:
     assert read_tracks(put(tmp_path, text)).identity.tolist() == [1]
 
 

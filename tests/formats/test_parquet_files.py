@@ -21,7 +21,7 @@ def put(folder: Path, columns: dict[str, list[object]]) -> Path:
     return path
 
 
-def test_columns_by_name(tmp_path: Path) -> None:
+def test_parquet_columns_are_found_by_name(tmp_path: Path) -> None:
     more = {"score": [0.5, -3.0], "track_id": [4, 4], "name": ["a", "b"], "ignore": [True, False]}
     path = put(tmp_path, {"Frame ID": [2, 1], **BOX, **more})
     table = read_detections(path)
@@ -33,7 +33,7 @@ def test_columns_by_name(tmp_path: Path) -> None:
     assert read_tracks(path).frame.tolist() == [1]
 
 
-def test_empty_ones(tmp_path: Path) -> None:
+def test_empty_parquet_tables_and_columns(tmp_path: Path) -> None:
     assert (
         len(read_detections(put(tmp_path, {"frame": [], "x": [], "y": [], "w": [], "h": []}))) == 0
     )
@@ -46,9 +46,9 @@ def test_empty_ones(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("columns", "where", "words"),
     [
-        ({"frame": [1, 0], **BOX}, ", row 2", "expected frame 1 or later, came 0"),
-        ({"frame": [1, None], **BOX}, ", row 2", "whole number for the frame number, came nan"),
-        ({"frame": ["one", "two"], **BOX}, "", "numbers in the column frame, came string"),
+        ({"frame": [1, 0], **BOX}, ", row 2", "expected frame 1 or later, got 0"),
+        ({"frame": [1, None], **BOX}, ", row 2", "whole number for the frame number, got nan"),
+        ({"frame": ["one", "two"], **BOX}, "", "numbers in the column frame, got string"),
         ({"time": [1, 2], **BOX}, "", "no column for the frame; the columns are time, x1"),
     ],
 )
@@ -59,7 +59,7 @@ def test_the_message_names_the_row(
 
 
 @pytest.mark.parametrize("damage", ["cut short", "footer"])
-def test_a_broken_file(tmp_path: Path, damage: str) -> None:
+def test_broken_parquet_file_is_refused(tmp_path: Path, damage: str) -> None:
     path = put(tmp_path, {"frame": [1, 2], **BOX})
     good = path.read_bytes()
     start = len(good) - 8 - int.from_bytes(good[-8:-4], "little")
@@ -69,7 +69,7 @@ def test_a_broken_file(tmp_path: Path, damage: str) -> None:
     refused(read_detections, path, "", "expected a Parquet file, which cannot be read")
 
 
-def test_without_pyarrow_the_line_that_installs_it_is_named(
+def test_missing_pyarrow_is_reported_with_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = put(tmp_path, {"frame": [1, 2], **BOX})

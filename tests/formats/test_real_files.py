@@ -14,7 +14,7 @@ def cells(path: Path) -> list[list[str]]:
     return [line.split(",") for line in path.read_text().split() if line]
 
 
-def test_every_file_of_detections(data: Path) -> None:
+def test_every_real_detection_file_is_read(data: Path) -> None:
     files = sorted(data.glob("mot15/*/det_*/det.txt"))
     assert len(files) == 9
     for path in files:
@@ -33,7 +33,7 @@ def test_every_file_of_detections(data: Path) -> None:
         assert 0 < table.last <= info.frames
 
 
-def test_every_file_of_truth(data: Path) -> None:
+def test_every_real_truth_file_is_read(data: Path) -> None:
     files = sorted(data.glob("mot15/*/gt/gt.txt"))
     assert len(files) == 5
     for path in files:
@@ -55,7 +55,7 @@ def test_every_file_of_truth(data: Path) -> None:
         ("caviar/cols1gt.xml", "<object ", 295, 6, None),
     ],
 )
-def test_cvml(
+def test_real_cvml_files_are_read(
     data: Path, name: str, element: str, frames: int, people: int, middle: float | None
 ) -> None:
     path = data / name

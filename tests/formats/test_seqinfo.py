@@ -14,7 +14,7 @@ INFO = SequenceInfo(width=640, height=480, fps=12.5, frames=70, name="S1")
 NAME = "seqinfo.ini"
 
 
-def test_from_the_file_or_its_folder(tmp_path: Path) -> None:
+def test_seqinfo_is_read_from_file_or_folder(tmp_path: Path) -> None:
     assert read_seqinfo(put(tmp_path, GOOD, NAME)) == read_seqinfo(tmp_path) == INFO
     put(tmp_path, "\ufeff" + GOOD.replace("\n", "\r\n"), NAME)
     assert read_seqinfo(str(tmp_path)) == INFO
@@ -22,7 +22,7 @@ def test_from_the_file_or_its_folder(tmp_path: Path) -> None:
     assert read_seqinfo(tmp_path) == SequenceInfo(640, 480, 12.5, 0, tmp_path.name)
 
 
-def test_it_is_looked_for_beside_and_one_folder_up(tmp_path: Path) -> None:
+def test_seqinfo_is_found_beside_and_one_folder_up(tmp_path: Path) -> None:
     deep = tmp_path / "det" / "more"
     deep.mkdir(parents=True)
     with pytest.raises(InputError, match="no such file"):
@@ -38,26 +38,28 @@ def test_it_is_looked_for_beside_and_one_folder_up(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "where", "words"),
     [
-        ("[Other]\na=1\n", "", "a section [Sequence], came none"),
+        ("[Other]\na=1\n", "", "a section [Sequence], got none"),
         ("name=x\n" + GOOD, ", line 1", "File contains no section headers"),
         (GOOD + "what is this\n", ", line 9", "frameRate=25"),
         (GOOD + "name=again\n", ", line 9", "frameRate=25"),
-        (GOOD.replace("frameRate=12.5\n", ""), "", "a value for frameRate, came none"),
+        (GOOD.replace("frameRate=12.5\n", ""), "", "a value for frameRate, got none"),
         (
             GOOD.replace("640", "wide"),
             ", line 6",
-            "a whole number above 0 for imWidth, came 'wide'",
+            "a whole number above 0 for imWidth, got 'wide'",
         ),
         (
             GOOD.replace("70", "70.5"),
             ", line 5",
-            "a whole number above 0 for seqLength, came '70.5'",
+            "a whole number above 0 for seqLength, got '70.5'",
         ),
-        (GOOD.replace("12.5", "nan"), ", line 4", "a number above 0 for frameRate, came 'nan'"),
+        (GOOD.replace("12.5", "nan"), ", line 4", "a number above 0 for frameRate, got 'nan'"),
         (b"\xff\xff", "", "expected UTF-8 text"),
     ],
 )
-def test_malformed(tmp_path: Path, content: str | bytes, where: str, words: str) -> None:
+def test_malformed_seqinfo_is_refused(
+    tmp_path: Path, content: str | bytes, where: str, words: str
+) -> None:
     refused(read_seqinfo, put(tmp_path, content, NAME), where, words)
     with pytest.raises(InputError):
         find_seqinfo(tmp_path / "det.txt")

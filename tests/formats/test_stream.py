@@ -49,7 +49,7 @@ HEADER = "frame,left,top,width,height,confidence\n"
     "content", [ROWS, ROWS[:-1], "# note\n\n" + ROWS, HEADER + ROWS.replace(",-1,", ",")]
 )
 @pytest.mark.parametrize("pieces", [1, 7, 100])
-def test_it_is_what_the_file_holds(content: str, pieces: int, tmp_path: Path) -> None:
+def test_stream_gives_the_rows_of_the_file(content: str, pieces: int, tmp_path: Path) -> None:
     path = tmp_path / "det.txt"
     path.write_text(content)
     whole = read_detections(path)
@@ -62,7 +62,7 @@ def test_it_is_what_the_file_holds(content: str, pieces: int, tmp_path: Path) ->
     assert sum(map(len, numbers)) == len(set().union(*numbers))
 
 
-def test_a_frame_comes_when_a_row_of_the_next_has(tmp_path: Path) -> None:
+def test_frame_is_yielded_when_the_next_begins(tmp_path: Path) -> None:
     out, into = os.pipe()
     with os.fdopen(out, "rb", buffering=0) as file, os.fdopen(into, "wb", buffering=0) as pipe:
         tables = stream_detections(file, "standard input")
@@ -79,7 +79,7 @@ def test_a_frame_comes_when_a_row_of_the_next_has(tmp_path: Path) -> None:
         (
             "1,-1,1,1,9,9,1\n3,-1,1,1,9,9,1\n2,-1,1,1,9,9,1\n",
             (
-                "line 3: expected the rows of a stream in the order of their frames, came frame 2"
+                "line 3: expected the rows of a stream in the order of their frames, got frame 2"
                 " after frame 3"
             ),
         ),
@@ -88,13 +88,13 @@ def test_a_frame_comes_when_a_row_of_the_next_has(tmp_path: Path) -> None:
         ("1,-1,1,1,9,9,1\n2,-1,1,1,9,nan,1\n", "line 2"),
     ],
 )
-def test_what_cannot_be_used_is_said_with_its_line(content: str, words: str, pieces: int) -> None:
+def test_malformed_stream_line_is_named(content: str, words: str, pieces: int) -> None:
     with pytest.raises(InputError) as error:
         streamed(content.encode(), pieces)
     assert words in str(error.value)
 
 
-def test_the_command_tracks_a_pipe_as_it_tracks_the_file(tmp_path: Path) -> None:
+def test_tracking_a_pipe_equals_tracking_the_file(tmp_path: Path) -> None:
     """Frames without rows are frames in which nothing was detected."""
     frames = [*range(3, 40), *range(45, 80), *range(100_000, 100_030)]
     rows = "".join(

@@ -43,7 +43,7 @@ GOOD = "1,-1,10,20,30,40,0.5,-1,-1,-1\n"
         "frame,left,top,right,bottom,score,note,\n1,10,20,40,60,0.5,,\n",
     ],
 )
-def test_every_usual_way_to_write_a_row(tmp_path: Path, content: str) -> None:
+def test_usual_notations_of_a_row_are_read(tmp_path: Path, content: str) -> None:
     table = read_detections(put(tmp_path, content))
     assert table.frame.tolist() == [1]
     np.testing.assert_allclose(table.detections.xyxy, [[10, 20, 40, 60]])
@@ -65,50 +65,50 @@ def test_an_empty_file_has_no_rows(tmp_path: Path, content: str) -> None:
         (
             GOOD + "2,-1,abc,20,30,40,0.5,-1,-1,-1\n",
             2,
-            "number for the left (column 3), came 'abc'",
+            "number for the left (column 3), got 'abc'",
         ),
         (
             GOOD + "\n# c\n2,-1,,20,30,40,0.5,-1,-1,-1\n",
             4,
-            "number for the left (column 3), came nothing",
+            "number for the left (column 3), got nothing",
         ),
-        (GOOD + "2,-1,nan,20,30,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box, came left nan"),
+        (GOOD + "2,-1,nan,20,30,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box, got left nan"),
         (GOOD + "2,-1,10,20,1e999,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box"),
-        (GOOD + "2,-1,10,20,30,40,nan,-1,-1,-1\n", 2, "finite confidence, came nan"),
-        (GOOD + "2,-1,10,20,-3,40,0.5,-1,-1,-1\n", 2, "above 0, came width -3, height 40"),
+        (GOOD + "2,-1,10,20,30,40,nan,-1,-1,-1\n", 2, "finite confidence, got nan"),
+        (GOOD + "2,-1,10,20,-3,40,0.5,-1,-1,-1\n", 2, "above 0, got width -3, height 40"),
         (
             GOOD + "nan,-1,10,20,30,40,0.5,-1,-1,-1\n",
             2,
-            "whole number for the frame number, came nan",
+            "whole number for the frame number, got nan",
         ),
         (
             GOOD + "1e30,-1,10,20,30,40,0.5,-1,-1,-1\n",
             2,
-            "whole number for the frame number, came 1e+30",
+            "whole number for the frame number, got 1e+30",
         ),
-        (GOOD + "0,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "expected frame 1 or later, came 0"),
+        (GOOD + "0,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "expected frame 1 or later, got 0"),
         (
             GOOD + "2,-1,10,20,30,40,0.5,-1,-1,-1,7\n",
             2,
-            "expected 10 values as in the first line, came 11",
+            "expected 10 values as in the first line, got 11",
         ),
-        ("1,-1,1,2,3\n", 1, "at least 6 columns (frame, id, left, top, width, height), came 5"),
-        ("1 -1 1_0 2 3 4\n", 1, "came '1_0'"),
+        ("1,-1,1,2,3\n", 1, "at least 6 columns (frame, id, left, top, width, height), got 5"),
+        ("1 -1 1_0 2 3 4\n", 1, "got '1_0'"),
         (
             "frame,left,top,width,height\n1,2,3,4,5,6\n",
             2,
-            "expected 5 values as in the header, came 6",
+            "expected 5 values as in the header, got 6",
         ),
         (
             "frame,left,top,width,height,class\n1,2,3,4,5,1\n2,2,3,4,5,\n",
             3,
-            "number for the class (column 6), came nothing",
+            "number for the class (column 6), got nothing",
         ),
         ("frame,left,top,width,height,class\n1,2,3,4,5,1.5\n", 2, "whole number for the class"),
         (
             'frame,left,top,width,height,class\n1,2,3,4,5,car\n"\n',
             3,
-            "expected 6 values as in the header, came 0",
+            "expected 6 values as in the header, got 0",
         ),
     ],
 )
@@ -118,13 +118,13 @@ def test_the_message_names_file_and_line(
     refused(read_detections, put(tmp_path, content), f", line {line}", words)
 
 
-def test_the_first_bad_line_is_named_and_the_others_counted(tmp_path: Path) -> None:
+def test_first_bad_line_is_named_and_others_counted(tmp_path: Path) -> None:
     path = put(tmp_path, GOOD + "0,-1,1,2,3,4,1,-1,-1,-1\n" * 3 + "1,-1,1,2,0,4,1,-1,-1,-1\n")
-    with pytest.raises(InputError, match=r"line 2: .*came 0 \(2 more like it\)"):
+    with pytest.raises(InputError, match=r"line 2: .*got 0 \(2 more like it\)"):
         read_detections(path)
 
 
-def test_a_missing_column_is_reported_with_the_names_that_would_do(tmp_path: Path) -> None:
+def test_missing_column_is_reported_with_accepted_names(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"det.txt: no column for the frame; the columns are time, left.*frame_idx"
     ):
@@ -135,7 +135,7 @@ def test_a_missing_column_is_reported_with_the_names_that_would_do(tmp_path: Pat
         with pytest.raises(InputError, match="no column for the identity"):
             reader(put(tmp_path, "frame,left,top,width,height\n1,2,3,4,5\n"))
         with pytest.raises(
-            InputError, match=r"det.txt, line 1: .*identity, came -1.*file of detections"
+            InputError, match=r"det.txt, line 1: .*identity, got -1.*file of detections"
         ):
             reader(put(tmp_path, GOOD))
 
@@ -143,18 +143,18 @@ def test_a_missing_column_is_reported_with_the_names_that_would_do(tmp_path: Pat
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"1,-1,10\0", "line 1: .*no UTF-8 text"),
-        (b"\xff\xd8\xff\xe0", "line 1: .*no UTF-8 text"),
-        (GOOD.encode() + b"\xe9", "line 2: .*no UTF-8 text"),
-        (GOOD.encode("utf-16"), "came UTF-16. Save it as UTF-8"),
+        (b"1,-1,10\0", "line 1: .*not UTF-8 text"),
+        (b"\xff\xd8\xff\xe0", "line 1: .*not UTF-8 text"),
+        (GOOD.encode() + b"\xe9", "line 2: .*not UTF-8 text"),
+        (GOOD.encode("utf-16"), "got UTF-16. Save it as UTF-8"),
     ],
 )
-def test_bytes_that_are_no_text(tmp_path: Path, content: bytes, words: str) -> None:
+def test_bytes_that_are_not_text_are_refused(tmp_path: Path, content: bytes, words: str) -> None:
     with pytest.raises(InputError, match=words):
         read_detections(put(tmp_path, content))
 
 
-def test_missing_file_and_folder(tmp_path: Path) -> None:
+def test_missing_file_or_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such file") as caught:
         read_detections(tmp_path / "nowhere" / "det.txt")
     assert str(tmp_path) in caught.value.cure
@@ -165,7 +165,7 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
     assert str(path) in caught.value.cure
 
 
-def test_frames_are_sorted_and_the_order_within_them_is_kept(tmp_path: Path) -> None:
+def test_rows_are_sorted_stably_by_frame(tmp_path: Path) -> None:
     frames = [3, 1, 3, 2, 1]
     lefts = [1, 2, 3, 4, 5]
     lines = "".join(f"{f},-1,{x},0,1,1\n" for f, x in zip(frames, lefts, strict=True))
@@ -187,9 +187,7 @@ def test_files_that_count_from_zero(tmp_path: Path) -> None:
     st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), min_size=1),
     st.sampled_from([",", ";", "\t", " "]),
 )
-def test_both_ways_through_a_file_agree(
-    rows: list[tuple[float, float, float]], delimiter: str
-) -> None:
+def test_both_number_parsers_agree(rows: list[tuple[float, float, float]], delimiter: str) -> None:
     """The fast way and, forced by one pair of quotes, the careful one."""
     plain = [[repr(value) for value in row] for row in rows]
     quoted = [[f'"{plain[0][0]}"', *plain[0][1:]], *plain[1:]]
@@ -206,7 +204,7 @@ def test_both_ways_through_a_file_agree(
     | st.text(alphabet="0123456789.,;-\n\t \"'#eEinfa<[{", max_size=120).map(str.encode)
 )
 @settings(max_examples=200)
-def test_no_content_whatever_gives_anything_but_rows_or_an_input_error(
+def test_any_content_gives_rows_or_an_input_error(
     tmp_path_factory: pytest.TempPathFactory, content: bytes
 ) -> None:
     path = put(tmp_path_factory.getbasetemp(), content, "anything")
@@ -215,7 +213,7 @@ def test_no_content_whatever_gives_anything_but_rows_or_an_input_error(
             reader(path)
 
 
-def test_boxes_without_area_are_left_out_and_counted(tmp_path: Path) -> None:
+def test_empty_boxes_are_skipped_and_counted(tmp_path: Path) -> None:
     """Of detections only: in truth and tracks they are faults."""
     path = put(tmp_path, GOOD + "2,-1,10,20,0,40,0.5,-1,-1,-1\n" + "1,-1,10,20,4,0,0.5,-1,-1,-1\n")
     table = read_detections(path)
@@ -227,14 +225,14 @@ def test_boxes_without_area_are_left_out_and_counted(tmp_path: Path) -> None:
     assert said == f"{path}: 2 of the boxes have width or height 0 and are left out"
 
 
-def test_a_missing_identity_is_told(tmp_path: Path) -> None:
+def test_missing_identity_column_is_reported(tmp_path: Path) -> None:
     """The columns after it would be taken for each other."""
     path = put(tmp_path, "1,281.9,187,80.2,207,0.998,-1\n")
     with pytest.raises(InputError, match=r"column 2 is the identity.*281\.9"):
         read_detections(path)
 
 
-def test_tracks_that_are_given_as_detections_keep_their_class(tmp_path: Path) -> None:
+def test_tracks_read_as_detections_keep_their_class(tmp_path: Path) -> None:
     """Their eleventh column says which detection a row used."""
     path = put(
         tmp_path, "1,3,10,20,30,40,0.9,-1,-1,-1,5,1,2\n2,3,11,20,30,40,0.9,-1,-1,-1,-1,1,2\n"
@@ -248,7 +246,7 @@ def test_tracks_that_are_given_as_detections_keep_their_class(tmp_path: Path) ->
     ("scale", "corners", "words"),
     [(1 / 640, False, "not shares of its size"), (1, True, "corners are taken for sizes")],
 )
-def test_boxes_in_other_units_are_told(
+def test_boxes_in_other_units_are_reported(
     tmp_path: Path, rng: np.random.Generator, scale: float, corners: bool, words: str
 ) -> None:
     left = rng.uniform(150, 560, 60)

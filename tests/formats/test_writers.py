@@ -70,7 +70,7 @@ def detection_tables(draw: st.DrawFn) -> DetectionTable:
 
 
 @given(tracks(), st.booleans())
-def test_tracks_and_truth_come_back(
+def test_tracks_and_truth_are_read_back(
     tmp_path_factory: pytest.TempPathFactory, original: Tracks, placed: bool
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "tracks.csv"
@@ -104,7 +104,7 @@ def test_tracks_and_truth_come_back(
 
 
 @given(detection_tables())
-def test_detections_come_back(
+def test_detections_are_read_back(
     tmp_path_factory: pytest.TempPathFactory, original: DetectionTable
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "detections.csv"
@@ -131,7 +131,7 @@ def one_row() -> Tracks:
     return Tracks(*arrays)
 
 
-def test_a_covariance_must_be_one(tmp_path: Path) -> None:
+def test_invalid_covariance_is_refused(tmp_path: Path) -> None:
     good = "1,-1,0,0,5,5,1,-1,-1,-1,0,1,0,0,0,1,0,0,1,0,1\n"
     path = tmp_path / "d.csv"
     path.write_text(good)
@@ -141,7 +141,7 @@ def test_a_covariance_must_be_one(tmp_path: Path) -> None:
         read_detections(path)
 
 
-def test_every_frame_is_on_disk_before_the_writer_is_closed_under_a_name_that_says_so(
+def test_frames_are_on_disk_before_the_writer_is_closed(
     tmp_path: Path,
 ) -> None:
     found = Detections.of([[0, 0, 1, 1], [2, 2, 4, 4]], [0.5, -7])
@@ -195,7 +195,7 @@ def test_every_frame_is_on_disk_before_the_writer_is_closed_under_a_name_that_sa
     assert not list(tmp_path.rglob("*.part"))
 
 
-def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
+def test_unwritable_path_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "t.csv", tmp_path):
         with pytest.raises(InputError, match="cannot be written") as caught:

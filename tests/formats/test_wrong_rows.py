@@ -38,7 +38,9 @@ KITTI = [f"{k} 1 Car 0 0 -1 {10 * k} 20 60 80 -1 -1 -1 -1 -1 -1 -1 0.5" for k in
         (KITTI, 4, "4 1 Car 0 0 -1 40", "expected 18 "),
     ],
 )
-def test_in_text(tmp_path: Path, rows: list[str], at: int, bad: str, words: str) -> None:
+def test_malformed_text_rows_are_errors_or_skipped(
+    tmp_path: Path, rows: list[str], at: int, bad: str, words: str
+) -> None:
     """A cut last line, too. The others are read as if it were not there."""
     path = put(tmp_path, "\n".join([*rows[:at], bad, *rows[at + 1 :]]) + "\n")
     with pytest.raises(InputError, match=words) as caught:
@@ -52,21 +54,19 @@ def test_in_text(tmp_path: Path, rows: list[str], at: int, bad: str, words: str)
     document = left_out.document()
     assert document["rows_left_out"] == 1
     assert str(document["first_left_out"]).startswith(f"{path}, line {at + 1}: expected")
-    assert left_out.sentences() == (
-        f"1 row that is wrong is left out, the first: {document['first_left_out']}",
-    )
+    assert left_out.sentences() == (f"1 malformed row skipped: {document['first_left_out']}",)
 
 
-def test_the_first_of_several_is_named_and_all_are_counted(tmp_path: Path) -> None:
+def test_first_malformed_row_is_named_and_all_counted(tmp_path: Path) -> None:
     rows = [*MOT[:1], "2,-1,5,5,-5,5,1", "2,-1,x,5,5,5,1", MOT[2], "3,-1,5,5,-5,5,1"]
     left_out = WrongRows()
     assert len(read_detections(put(tmp_path, "\n".join(rows)), left_out=left_out)) == 2
     assert left_out.rows == 3
     assert ", line 2: expected a width" in str(left_out.first)
-    assert "3 rows that are wrong are left out" in left_out.sentences()[0]
+    assert "3 malformed rows skipped" in left_out.sentences()[0]
 
 
-def test_in_json(tmp_path: Path) -> None:
+def test_malformed_json_entries_are_errors_or_skipped(tmp_path: Path) -> None:
     entries: list[Any] = [
         {"image_id": k, "bbox": [10 * k, 20, 30, 60], "score": 0.5} for k in range(1, 5)
     ]
@@ -85,18 +85,18 @@ def test_in_json(tmp_path: Path) -> None:
     assert left_out.first.where == f"{path}, entry 2"
 
 
-def test_a_file_without_a_right_row_is_refused_all_the_same(tmp_path: Path) -> None:
+def test_file_without_a_valid_row_is_refused(tmp_path: Path) -> None:
     for content in ("1,-1,5,5,-5,5,1\n", "1,-1,a,5,5,5,1\n2,-1,b,5,5,5,1\n"):
         with pytest.raises(InputError, match="line 1"):
             read_detections(put(tmp_path, content), left_out=WrongRows())
 
 
-def test_frame_numbers_end_somewhere(tmp_path: Path) -> None:
+def test_frame_number_beyond_the_last_is_refused(tmp_path: Path) -> None:
     good = put(tmp_path, "10000000000,1,10,20,30,60,1\n")
     assert read_detections(good).last == 10_000_000_000
     path = put(tmp_path, "10000000001,1,10,20,30,60,1\n", "far.txt")
     for reader in (read_detections, read_truth, read_tracks):
-        with pytest.raises(InputError, match="or earlier, came 10000000001"):
+        with pytest.raises(InputError, match="or earlier, got 10000000001"):
             reader(path)
 
 
@@ -108,7 +108,7 @@ def walked(frames: list[int], last: int, fps: float) -> list[int]:
     )
 
 
-def test_short_gaps_are_walked_frame_by_frame() -> None:
+def test_short_gaps_are_visited_frame_by_frame() -> None:
     assert walked([3, 3, 9], 12, 25.0) == list(range(1, 13))
     assert walked([1500, 3001], 3001, 25.0) == list(range(1, 3002))
     assert walked([], 5, 25.0) == [1, 2, 3, 4, 5]
@@ -117,7 +117,7 @@ def test_short_gaps_are_walked_frame_by_frame() -> None:
 
 
 @pytest.mark.parametrize(("fps", "longest"), [(25.0, 1500), (1.0, 250), (1e300, 100_000)])
-def test_long_gaps_are_passed_over_after_a_minute(fps: float, longest: int) -> None:
+def test_long_gaps_are_skipped_after_a_minute(fps: float, longest: int) -> None:
     """Wherever they are; the detections' frames and the last one are never left out."""
     found = walked([10**9, 10**9 + 1], 10**10, fps)
     assert found == [

@@ -16,7 +16,7 @@ def clicked(world: np.ndarray = WORLD) -> np.ndarray:
 
 
 @pytest.mark.parametrize("n", [4, 5, 7])
-def test_exact_points_give_the_camera_back(n: int) -> None:
+def test_exact_points_recover_the_camera(n: int) -> None:
     fitted = fit_homography(clicked()[:, :n], WORLD[:, :n])
     assert fitted.pixel_error.max() < 1e-8
     assert fitted.ground_error.max() < 1e-8
@@ -26,7 +26,7 @@ def test_exact_points_give_the_camera_back(n: int) -> None:
     )
 
 
-def test_noisy_points_give_the_least_squares_in_the_image(rng: np.random.Generator) -> None:
+def test_noisy_points_give_the_least_squares_fit(rng: np.random.Generator) -> None:
     """No worse than OpenCV's own refinement, and no small change of the matrix is better."""
     pixel = clicked() + rng.normal(0, 1.5, WORLD.shape)
     fitted = fit_homography(pixel, WORLD)
@@ -71,7 +71,7 @@ THREE_ON_A_LINE = np.array([[0.0, 1, 2, 5], [0, 1, 2, -3]])
         (np.where(WORLD == 12, np.nan, clicked()), WORLD, "finite"),
     ],
 )
-def test_layouts_that_give_no_camera(pixel: np.ndarray, world: np.ndarray, words: str) -> None:
+def test_degenerate_layouts_are_refused(pixel: np.ndarray, world: np.ndarray, words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
         fit_homography(pixel, world)
     assert words == "two arrays" or words == "finite" or caught.value.cure

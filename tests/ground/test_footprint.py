@@ -20,7 +20,7 @@ from phdtrack.ground import (
 
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
-def test_a_point_is_inside_when_the_frame_shows_it(
+def test_footprint_contains_the_visible_ground(
     camera: PosedCamera, rng: np.random.Generator
 ) -> None:
     """But for points within 0.3 m of the outline, which is a polygon and no curve."""
@@ -47,7 +47,7 @@ def test_a_point_is_inside_when_the_frame_shows_it(
     assert wrong.sum() <= (15 if terrain else 0)
 
 
-def test_without_a_horizon_it_is_the_image_of_the_frame() -> None:
+def test_footprint_without_a_horizon_is_the_frame() -> None:
     rotation, translation = looking((0.0, -6.0, 8.0), (0.0, 0.0))
     camera = PosedCamera(OpenCVLens(MATRIX), rotation, translation)
     polygon = footprint(camera, SIZE)
@@ -55,7 +55,7 @@ def test_without_a_horizon_it_is_the_image_of_the_frame() -> None:
     np.testing.assert_allclose(polygon[:, ::64], corners, atol=1e-9)
 
 
-def test_a_frame_of_sky_shows_nothing() -> None:
+def test_frame_of_sky_has_an_empty_footprint() -> None:
     sky = HomographyCamera(PLANE @ np.array([[1.0, 0, 0], [0, 1, -3000], [0, 0, 1]]))
     assert footprint(sky, SIZE).shape == (2, 0)
     with pytest.raises(InputError, match="above 0"):
@@ -67,7 +67,7 @@ def repeated(cov: np.ndarray, n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["tsai", "opencv, five", "homography"])
-def test_it_is_the_covariance_of_sampled_pixels(name: str, rng: np.random.Generator) -> None:
+def test_ground_noise_agrees_with_sampled_pixels(name: str, rng: np.random.Generator) -> None:
     camera = CAMERAS[name]
     cov = np.array([[4.0, 1.5], [1.5, 9.0]])
     pixel = np.array([[100.0, 400, 700], [350, 420, 560]])
@@ -96,7 +96,7 @@ def nees(distance: float, rng: np.random.Generator, n: int) -> np.ndarray:
     return np.einsum("in,nij,jn->n", error, np.linalg.inv(prior - gain @ prior), error)
 
 
-def test_a_kalman_filter_that_uses_it_is_consistent() -> None:
+def test_kalman_filter_with_ground_noise_is_consistent() -> None:
     """NEES of 8000 updates, 12 to 60 m away, within its 95 % band; and near and far apart within
     99.9 %.
     """

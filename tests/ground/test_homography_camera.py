@@ -8,7 +8,7 @@ from phdtrack.errors import InputError
 from phdtrack.ground import HomographyCamera, OpenCVLens
 
 
-def test_it_is_the_undistorted_camera_on_flat_ground(rng: np.random.Generator) -> None:
+def test_homography_equals_undistorted_camera_on_flat_ground(rng: np.random.Generator) -> None:
     pinhole = posed(OpenCVLens(MATRIX))
     camera = HomographyCamera(PLANE)
     pixel = pixels(rng, 500)
@@ -32,19 +32,19 @@ def test_depth_is_the_distance_along_the_ground() -> None:
     np.testing.assert_allclose(camera.depth(world), ahead @ world + origin, rtol=1e-9)
 
 
-def test_straight_down_all_is_equally_far() -> None:
+def test_overhead_camera_has_equal_depths() -> None:
     camera = HomographyCamera(np.array([[0.02, 0, 1], [0, 0.03, 2], [0, 0, 1]]))
     world = np.array([[0.0, 500], [3, -200]])
     np.testing.assert_array_equal(camera.depth(world), [1, 1])
     np.testing.assert_allclose(camera.ground(camera.pixels(world)), world)
 
 
-def test_heights_are_not_known() -> None:
+def test_homography_has_no_heights() -> None:
     pixel = HomographyCamera(PLANE).pixels(np.array([[0.0, 0], [5, 5], [0, 1.8]]))
     assert np.isnan(pixel).tolist() == [[False, True]] * 2
 
 
-def test_the_side_of_the_horizon_can_be_said() -> None:
+def test_side_of_the_horizon_can_be_given() -> None:
     """A picture upside down: what is above shows ground."""
     turned = PLANE @ np.array([[-1.0, 0, 768], [0, -1, 576], [0, 0, 1]])
     pixel = np.array([[380.0], [40]])
@@ -65,13 +65,13 @@ def test_the_side_of_the_horizon_can_be_said() -> None:
         (np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, -100]]), (50.0, 100.0), "on the horizon"),
     ],
 )
-def test_mistakes(matrix: np.ndarray, inside: tuple[float, float] | None, words: str) -> None:
+def test_malformed_cameras_are_refused(matrix: np.ndarray, inside: tuple[float, float] | None, words: str) -> None:
     with pytest.raises(InputError, match=words):
         HomographyCamera(matrix, inside)
 
 
 @pytest.mark.parametrize("points", [np.zeros((4, 2)), np.zeros(2), np.zeros((1, 4))])
-def test_points_in_rows_are_refused(points: np.ndarray) -> None:
+def test_transposed_points_are_refused(points: np.ndarray) -> None:
     for camera in (HomographyCamera(PLANE), posed(OpenCVLens(MATRIX))):
         for ask in (camera.ground, camera.pixels, camera.depth):
             with pytest.raises(InputError, match="expected points as columns"):

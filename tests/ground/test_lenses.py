@@ -9,7 +9,7 @@ from phdtrack.errors import InputError
 from phdtrack.ground import OpenCVLens, PosedCamera, TsaiLens
 
 
-def test_tsai_is_the_solution_of_the_two_linear_equations(rng: np.random.Generator) -> None:
+def test_tsai_solves_the_two_linear_equations(rng: np.random.Generator) -> None:
     """E13 (6), (7), pixel by pixel in millimetres, as the calibration files have it."""
     camera = posed(tsai(5e-3))
     lens = tsai(5e-3)
@@ -28,7 +28,7 @@ def test_tsai_is_the_solution_of_the_two_linear_equations(rng: np.random.Generat
         np.testing.assert_allclose(camera.ground(np.array([[xf], [yf]]))[:, 0], place, atol=1e-9)
 
 
-def test_the_cubic_has_its_root_however_strong_the_distortion(rng: np.random.Generator) -> None:
+def test_distortion_cubic_is_solved_for_strong_distortion(rng: np.random.Generator) -> None:
     pixel = rng.uniform([[0], [0]], [[768], [576]], (2, 500))
     for kappa in (1e-9, 1e-4, 0.3, 40.0, -1e-9, -1e-4, -2e-2):
         lens = tsai(kappa)
@@ -37,7 +37,7 @@ def test_the_cubic_has_its_root_however_strong_the_distortion(rng: np.random.Gen
         np.testing.assert_allclose(lens.project(ray), pixel, atol=1e-9)
 
 
-def test_beyond_the_fold_is_outside_of_the_lens() -> None:
+def test_points_beyond_the_fold_are_outside() -> None:
     """κ = −0.05: the fold is 2.58 mm from the axis, and the undistorted radius there is two thirds
     of that.
     """
@@ -57,7 +57,7 @@ def test_beyond_the_fold_is_outside_of_the_lens() -> None:
 @pytest.mark.parametrize(
     "distortion", [np.zeros(0), BARREL[:4], BARREL, RATIONAL, PRISM], ids=["0", "4", "5", "8", "12"]
 )
-def test_pixels_are_those_of_opencv(distortion: np.ndarray, rng: np.random.Generator) -> None:
+def test_pixels_agree_with_opencv(distortion: np.ndarray, rng: np.random.Generator) -> None:
     camera = PosedCamera(OpenCVLens(MATRIX, distortion), ROTATION, TRANSLATION)
     world = np.vstack([rng.uniform(-12, 12, (2, 300)), rng.uniform(0, 2, 300)])
     theirs, _ = cv2.projectPoints(
@@ -69,7 +69,7 @@ def test_pixels_are_those_of_opencv(distortion: np.ndarray, rng: np.random.Gener
     np.testing.assert_allclose(ours[:, seen], theirs[:, 0].T[:, seen], atol=1e-9)
 
 
-def test_a_fold_of_opencvs_lens_is_outside() -> None:
+def test_fold_of_the_opencv_lens_is_outside() -> None:
     """r(1 + k1 r²) grows up to r = (−3 k1)^(−1/2)."""
     lens = OpenCVLens(MATRIX, np.array([-0.3, 0, 0, 0]))
     fold = (3 * 0.3) ** -0.5
@@ -102,6 +102,6 @@ def test_a_fold_of_opencvs_lens_is_outside() -> None:
         (lambda: TsaiLens(0.0, 1e-6, 1e-6, 0, 0, 0), r"TsaiLens\.focal: expected a value above 0"),
     ],
 )
-def test_bad_lenses_and_poses(make, words: str) -> None:
+def test_bad_lenses_and_poses_are_refused(make, words: str) -> None:
     with pytest.raises(InputError, match=words):
         make()

@@ -31,7 +31,7 @@ def saved(folder: Path, content: bytes | None = None) -> Path:
     return path
 
 
-def test_a_reader_that_crashes_takes_nothing_along(
+def test_crash_of_the_matlab_reader_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(camera_files, "_MATLAB", "import os; os.abort()")
@@ -39,7 +39,7 @@ def test_a_reader_that_crashes_takes_nothing_along(
         read_camera(saved(tmp_path), FORM)
 
 
-def test_a_reader_that_hangs_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hanging_matlab_reader_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_files, "_MATLAB", "import time; time.sleep(60)")
     monkeypatch.setattr(camera_files, "_SECONDS", 0.2)
     with pytest.raises(InputError, match="SciPy cannot read"):
@@ -55,12 +55,12 @@ def test_a_reader_that_hangs_is_ended(tmp_path: Path, monkeypatch: pytest.Monkey
         (b"", "SciPy cannot read"),
     ],
 )
-def test_other_files_get_a_sentence(tmp_path: Path, content: bytes, words: str) -> None:
+def test_files_that_are_not_matlab_are_refused(tmp_path: Path, content: bytes, words: str) -> None:
     with pytest.raises(InputError, match=words):
         read_camera(saved(tmp_path, content), FORM)
 
 
-def test_cuts_and_flips_are_read_or_refused(tmp_path: Path) -> None:
+def test_damaged_matlab_files_are_read_or_refused(tmp_path: Path) -> None:
     whole = saved(tmp_path).read_bytes()
     rng = random.Random(1)
     read_camera(saved(tmp_path, whole), FORM)

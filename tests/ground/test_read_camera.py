@@ -47,7 +47,7 @@ def rows(matrix: np.ndarray) -> str:
     return "\n".join(" ".join(f"{value:.17g}" for value in row) for row in matrix)
 
 
-def test_tsai_in_millimetres(tmp_path: Path) -> None:
+def test_tsai_file_in_millimetres(tmp_path: Path) -> None:
     camera = read_camera(put(tmp_path, "view.xml", TSAI))
     pixel = np.array([[100.0, 700], [300, 500]])
     np.testing.assert_allclose(camera.lens.rays(pixel), tsai(5e-3).rays(pixel), rtol=1e-12)
@@ -62,7 +62,7 @@ def test_tsai_in_millimetres(tmp_path: Path) -> None:
     )
 
 
-def test_a_homography_in_text_by_every_convention(tmp_path: Path) -> None:
+def test_homography_text_in_every_convention(tmp_path: Path) -> None:
     """The same camera, said in 24 ways."""
     swap = np.eye(3)[[1, 0, 2]]
     units = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
@@ -84,7 +84,7 @@ def test_a_homography_in_text_by_every_convention(tmp_path: Path) -> None:
         same(read_camera(put(tmp_path, "camera.toml", said)), posed(OpenCVLens(MATRIX)))
 
 
-def test_the_layout_of_eth_and_ucy_is_known(tmp_path: Path) -> None:
+def test_layout_of_eth_and_ucy_is_recognised(tmp_path: Path) -> None:
     path = put(tmp_path, "H.txt", rows(PLANE[:, [1, 0, 2]]).replace(" ", ",\t"))
     with pytest.raises(AssertionError):
         same(read_camera(path), posed(OpenCVLens(MATRIX)))
@@ -92,7 +92,7 @@ def test_the_layout_of_eth_and_ucy_is_known(tmp_path: Path) -> None:
     same(read_camera(path), posed(OpenCVLens(MATRIX)))
 
 
-def test_matlab(tmp_path: Path) -> None:
+def test_matlab_homography_is_read(tmp_path: Path) -> None:
     path = tmp_path / "h.mat"
     transform = {"tdata": {"T": 100 * PLANE.T @ np.diag([1, 1, 0.01]), "Tinv": np.eye(3)}}
     savemat(path, {"c2b": transform, "plain": np.eye(3), "other": np.zeros((2, 5))})
@@ -113,7 +113,7 @@ def test_matlab(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["camera.yml", "camera.xml", "camera.json"])
-def test_opencvs_own_files(tmp_path: Path, name: str) -> None:
+def test_opencv_calibration_files_are_read(tmp_path: Path, name: str) -> None:
     if name.endswith("json"):
         keys = {"mtx": MATRIX, "dist": BARREL[None], "rvec": VECTOR, "tvec": TRANSLATION}
         path = put(
@@ -142,7 +142,7 @@ unit = "mm"
 """
 
 
-def test_described_in_toml_with_terrain(tmp_path: Path) -> None:
+def test_toml_camera_with_terrain(tmp_path: Path) -> None:
     same(read_camera(put(tmp_path, "camera.toml", DESCRIBED)), posed(OpenCVLens(MATRIX, BARREL)))
     ground = hills()
     x, y = ground.origin
@@ -159,7 +159,7 @@ def test_described_in_toml_with_terrain(tmp_path: Path) -> None:
     np.testing.assert_array_equal(camera.surface.heights, ground.heights)
 
 
-def test_what_calibrate_writes_is_read_to_the_last_bit(
+def test_calibration_file_is_read_back_exactly(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
     world = np.array([[0.0, 12, 10, -8, 3], [-8, -3, 10, 12, 2]])
@@ -236,7 +236,7 @@ HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
         ("%YAML:1.0\n---\na: 1\n", "", "came none of them"),
     ],
 )
-def test_mistakes(tmp_path: Path, text: str, where: str, words: str) -> None:
+def test_malformed_cameras_are_refused(tmp_path: Path, text: str, where: str, words: str) -> None:
     path = put(tmp_path, "camera.toml", text)
     with pytest.raises(InputError, match=words) as caught:
         read_camera(path)
@@ -245,7 +245,7 @@ def test_mistakes(tmp_path: Path, text: str, where: str, words: str) -> None:
     assert str(tmp_path) in str(caught.value)
 
 
-def test_files_that_are_none(tmp_path: Path) -> None:
+def test_files_that_are_not_cameras_are_refused(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"\xff\xfe\x00\x81 no text")
     with pytest.raises(InputError, match="no UTF-8 text"):
         read_camera(tmp_path / "x")

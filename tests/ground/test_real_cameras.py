@@ -12,7 +12,7 @@ from phdtrack.ground import MatrixForm, footprint, read_camera
 pytestmark = pytest.mark.data
 
 
-def test_pets_foot_points_land_where_the_truth_says(data: Path) -> None:
+def test_pets_foot_points_agree_with_the_truth(data: Path) -> None:
     camera = read_camera(data / "pets2009" / "View_001.xml")
     rows = np.loadtxt(data / "mot15" / "PETS09-S2L1" / "gt" / "gt.txt", delimiter=",")
     foot = np.stack([rows[:, 2] + rows[:, 4] / 2, rows[:, 3] + rows[:, 5]])
@@ -28,7 +28,7 @@ def test_pets_foot_points_land_where_the_truth_says(data: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "size"), [("seq_eth", (640, 480)), ("zara01", (720, 590))])
-def test_pedestrians_of_eth_and_ucy_are_in_the_picture(
+def test_pedestrians_of_eth_and_ucy_are_in_the_image(
     data: Path, name: str, size: tuple[int, int]
 ) -> None:
     """The annotations of zara01 go 10 pixels below the frame of 576 rows."""
@@ -39,7 +39,7 @@ def test_pedestrians_of_eth_and_ucy_are_in_the_picture(
     np.testing.assert_allclose(camera.ground(pixel), place, atol=1e-9)
 
 
-def test_caviar_says_which_of_its_transforms_and_gives_metres(data: Path) -> None:
+def test_caviar_transforms_give_metres(data: Path) -> None:
     """People in a corridor: those who are not far away keep within a few metres across, and
     walk.
     """

@@ -19,7 +19,7 @@ def terrain(height: np.ndarray) -> Terrain:
     return Terrain(np.array([-100.0, -100]), STEP, height)
 
 
-def test_flat_terrain_is_flat_ground(rng: np.random.Generator) -> None:
+def test_flat_terrain_equals_flat_ground(rng: np.random.Generator) -> None:
     pixel = pixels(rng, 1000)
     flat = posed(tsai(5e-3), Flat(2.5))
     map_ = posed(tsai(5e-3), terrain(np.full((101, 101), 2.5)))
@@ -35,7 +35,7 @@ def test_flat_terrain_is_flat_ground(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(map_.pixels(expected[:, on_map]), flat.pixels(expected[:, on_map]))
 
 
-def test_a_slope_is_a_plane(rng: np.random.Generator) -> None:
+def test_slope_equals_a_plane(rng: np.random.Generator) -> None:
     """Where a ray meets z = 0.1 x − 0.05 y + 1 has a closed form, and bilinear interpolation is
     exact on planes.
     """
@@ -52,7 +52,7 @@ def test_a_slope_is_a_plane(rng: np.random.Generator) -> None:
     )
 
 
-def test_the_point_found_is_the_first_on_the_line_of_sight(rng: np.random.Generator) -> None:
+def test_ground_point_is_the_first_on_the_line_of_sight(rng: np.random.Generator) -> None:
     """Steep hills: no point of the ray before it is below the ground, and it lies on the ground."""
     ground = hills(4.0)
     camera = posed(tsai(5e-3), ground)
@@ -68,7 +68,7 @@ def test_the_point_found_is_the_first_on_the_line_of_sight(rng: np.random.Genera
         assert not (way[2] < height - 0.02).any()
 
 
-def test_what_comes_onto_the_map_below_its_ground_shows_nothing_known() -> None:
+def test_ray_entering_below_the_terrain_is_unknown() -> None:
     """A plateau at the map's edge, higher than the camera: it bars the view of the valley behind
     it, from outside.
     """
@@ -81,7 +81,7 @@ def test_what_comes_onto_the_map_below_its_ground_shows_nothing_known() -> None:
     assert np.isnan(camera.ground(pixel)).all()
 
 
-def test_beside_unknown_heights_nothing_is_known() -> None:
+def test_points_beside_unknown_heights_are_unknown() -> None:
     heights = np.zeros((101, 101))
     heights[50, 50] = np.nan  # at (0, 0)
     camera = posed(tsai(5e-3), terrain(heights))
@@ -93,7 +93,7 @@ def test_beside_unknown_heights_nothing_is_known() -> None:
     np.testing.assert_allclose(place[:, 1], world[:, 1], atol=1e-9)
 
 
-def test_a_camera_whose_world_points_down_sees_the_same(rng: np.random.Generator) -> None:
+def test_world_with_downward_axis_gives_the_same(rng: np.random.Generator) -> None:
     """z downwards, y mirrored: hills become negative heights."""
     mirror = np.diag([1.0, -1, -1])
     up = hills(1.5)
@@ -106,7 +106,7 @@ def test_a_camera_whose_world_points_down_sees_the_same(rng: np.random.Generator
     )
 
 
-def test_files(tmp_path: Path) -> None:
+def test_terrain_files_are_read(tmp_path: Path) -> None:
     heights = np.arange(12.0).reshape(3, 4)
     text = (
         "ncols 4\nnrows 3\nxllcorner -2\nYLLCENTER 5\ncellsize 2\nNODATA_value -9999\n8 9 10 11\n4"
@@ -133,7 +133,7 @@ def test_files(tmp_path: Path) -> None:
         ("ncols two\n", ", line 1", "1 numbers, came 'two'"),
     ],
 )
-def test_bad_grids(tmp_path: Path, text: str, where: str, words: str) -> None:
+def test_bad_terrain_grids_are_refused(tmp_path: Path, text: str, where: str, words: str) -> None:
     path = tmp_path / "bad.asc"
     path.write_text(text)
     with pytest.raises(InputError, match=words) as caught:

@@ -38,7 +38,7 @@ def test_groups_are_the_connected_components(seed, n):
     assert ((found.label[:, None] == found.label) == (truth[:, None] == truth)).all()
 
 
-def test_the_count_is_the_sum_of_weights_and_the_mean_weighed():
+def test_count_is_the_weight_sum_and_mean_is_weighted():
     found = Grouping().groups(people([(0, 0, 1, 0), (1, 0, 1, 0)], [1.0, 0.5]))
     assert found.count[0] == pytest.approx(1.5)
     assert found.mean[0, 0] == pytest.approx(1 / 3)
@@ -47,13 +47,13 @@ def test_the_count_is_the_sum_of_weights_and_the_mean_weighed():
     assert found.covariance[0, 0, 0] == pytest.approx(0.09 + 0.5 / 1.5**2)
 
 
-def test_light_components_do_not_count_and_do_not_connect():
+def test_light_components_are_ignored():
     found = Grouping().groups(people([(0, 0, 0, 0), (1.5, 0, 0, 0), (3, 0, 0, 0)], [1.0, 0.2, 1.0]))
     assert found.label.tolist() == [0, -1, 1]
     assert found.count.tolist() == [1.0, 1.0]
 
 
-def test_the_deviation_is_that_of_people_who_are_there_with_their_weight():
+def test_count_deviation_is_that_of_bernoulli_targets():
     weight = np.array([0.9, 0.6, 1.3, 2.0])
     found = Grouping().groups(people([(k, 0, 0, 0) for k in range(4)], weight.tolist()))
     rng = np.random.default_rng(5)
@@ -63,6 +63,6 @@ def test_the_deviation_is_that_of_people_who_are_there_with_their_weight():
     assert found.deviation[0] == pytest.approx(draws.std(), rel=0.01)
 
 
-def test_a_distance_of_nothing_is_refused():
+def test_zero_distance_is_refused():
     with pytest.raises(InputError, match=r"Grouping\.max_distance"):
         Grouping(max_distance=0)

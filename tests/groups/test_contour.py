@@ -9,7 +9,7 @@ from group_cases import people
 from phdtrack.groups.clusters import Contours, polygon_area
 
 
-def test_a_lone_person_has_a_circle_whose_radius_is_known():
+def test_contour_of_one_person_is_a_circle():
     sd = 0.5
     (circle,) = Contours(grid_density=8, tolerance=0).of(
         people([(3, -2, 1, 0)], sd=sd), np.ones(1, np.bool_)
@@ -22,14 +22,14 @@ def test_a_lone_person_has_a_circle_whose_radius_is_known():
     assert polygon_area(circle) == pytest.approx(np.pi * radius**2, rel=0.02)
 
 
-def test_an_uncertain_person_has_none():
+def test_uncertain_person_has_no_contour():
     # The peak is below the level where 2π sd² > 10.
     sd = np.sqrt(10 / (2 * np.pi))
     assert Contours().of(people([(0, 0, 0, 0)], sd=1.01 * sd), np.ones(1, np.bool_)) == ()
     assert len(Contours().of(people([(0, 0, 0, 0)], sd=0.97 * sd), np.ones(1, np.bool_))) == 1
 
 
-def test_a_ring_of_people_has_a_hole_that_runs_the_other_way():
+def test_hole_of_a_ring_has_opposite_orientation():
     angle = np.arange(12) * np.pi / 6
     mixture = people([(3 * np.cos(a), 3 * np.sin(a), 0, 0) for a in angle], sd=0.45)
     areas = sorted(polygon_area(p) for p in Contours().of(mixture, np.ones(12, np.bool_)))
@@ -41,7 +41,7 @@ def test_a_ring_of_people_has_a_hole_that_runs_the_other_way():
     assert one == pytest.approx(wanted)
 
 
-def test_the_area_is_that_of_the_points_above_the_level():
+def test_area_is_that_of_points_above_the_level():
     rng = np.random.default_rng(3)
     mixture = people([(0, 0, 0, 0), (1, 0.5, 0, 0), (0.3, 1.4, 0, 0)], [1.0, 0.6, 1.4], sd=0.5)
     area = sum(polygon_area(p) for p in Contours(grid_density=8).of(mixture, np.ones(3, np.bool_)))
@@ -55,7 +55,7 @@ def test_the_area_is_that_of_the_points_above_the_level():
     assert area == pytest.approx(64 * inside, abs=5 * error + 0.01 * area)
 
 
-def test_a_simpler_polygon_stays_within_the_tolerance():
+def test_simplified_polygon_stays_within_tolerance():
     mixture = people([(0, 0, 0, 0), (1, 0.5, 0, 0)], sd=0.5)
     (exact,), (simple,) = (
         Contours(tolerance=t).of(mixture, np.ones(2, np.bool_)) for t in (0.0, 0.05)
@@ -68,7 +68,7 @@ def test_a_simpler_polygon_stays_within_the_tolerance():
 
 
 @pytest.mark.parametrize("fineness", [2.0, 6.0])
-def test_every_curve_is_closed_whatever_the_grid(fineness):
+def test_every_contour_is_closed(fineness):
     rng = np.random.default_rng(8)
     for _ in range(20):
         n = int(rng.integers(1, 8))

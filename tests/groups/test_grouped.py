@@ -25,7 +25,7 @@ FIVE = people(
 )
 
 
-def test_people_with_identities_lead_their_cluster() -> None:
+def test_tracked_people_lead_their_cluster() -> None:
     _, frame = STAGES.advance(LifeCycleState(), FIVE, np.array([7, 9]), np.array([1, 2]), 1, 0.0)
     assert frame.identity.tolist() == [0, 1, 2]
     assert frame.groups.label.tolist() == [1, 1, 2, 0, 0]
@@ -34,7 +34,7 @@ def test_people_with_identities_lead_their_cluster() -> None:
     assert frame.membership.tolist() == [1, 2]
 
 
-def test_no_head_is_lost() -> None:
+def test_every_person_is_counted_once() -> None:
     state = LifeCycleState()
     for number, carried in enumerate(([0, 3], [1], [], [0, 1, 2, 3, 4]), start=1):
         carrier = np.array(carried, np.int64)
@@ -43,7 +43,7 @@ def test_no_head_is_lost() -> None:
         assert frame.deviation == pytest.approx(np.sqrt((FIVE.weight * (1 - FIVE.weight)).sum()))
 
 
-def test_who_is_carried_by_nothing_that_counts_is_in_no_group() -> None:
+def test_track_without_a_component_is_in_no_group() -> None:
     light = replace(FIVE, weight=np.array([1.0, 0.1, 0.8, 0.6, 0.3]))
     _, frame = STAGES.advance(
         LifeCycleState(), light, EVERYBODY[:3] + 1, np.array([0, 1, -1]), 1, 0.0
@@ -67,7 +67,7 @@ def test_contours_and_warnings_belong_to_the_groups() -> None:
     assert (len(empty), empty.people, empty.warnings) == (0, 0, ())
 
 
-def test_a_track_is_carried_by_the_nearest_heavy_gaussian_within_reach() -> None:
+def test_track_is_assigned_to_the_nearest_heavy_gaussian() -> None:
     sd = 0.3
     edge = sd * np.sqrt(REACH)
     place = np.array([[0.0, 0.6, 10 + 0.99 * edge, 10 + 1.01 * edge, np.nan], [0, 0, 0, 0, 0]])
@@ -78,7 +78,7 @@ def test_a_track_is_carried_by_the_nearest_heavy_gaussian_within_reach() -> None
 
 
 @pytest.mark.parametrize("name", ["gm-phd", "gm-cphd", "particle-phd", "particle-cphd"])
-def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
+def test_one_missed_detection_changes_no_group(name: str) -> None:
     info = SequenceInfo(60, 60, 5.0)
     sets = [
         "groups.kind=intensity",
@@ -105,7 +105,7 @@ def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
     assert np.hypot(*(heavy - np.array([[0.3 * 12], [8.0]]))).min() < 1.0
 
 
-def test_given_settings_hold() -> None:
+def test_settings_of_the_user_are_kept() -> None:
     settings = load(
         sets=[
             "groups.kind=intensity",

@@ -31,7 +31,7 @@ TOGETHER = {1: 0, 2: 0, 3: 0}
 APART = {1: 0, 2: 0, 3: 1}
 
 
-def test_a_split_is_told_once_with_the_frame_at_which_it_began():
+def test_split_is_reported_once_with_its_first_frame():
     groups, told = play([{1: 0, 2: 0}] * 5 + [TOGETHER] * 5 + [APART] * 10)
     assert told == [
         Event(1, pytest.approx(T), "appear", 1),
@@ -42,7 +42,7 @@ def test_a_split_is_told_once_with_the_frame_at_which_it_began():
     assert groups[-1] == {1: 1, 2: 1, 3: 2}
 
 
-def test_a_merge_is_told_of_the_smaller_group():
+def test_merge_is_reported_for_the_smaller_group():
     groups, told = play([APART] * 10 + [TOGETHER] * 10)
     assert [e.kind for e in told] == ["appear", "appear", "merge"]
     assert told[2] == Event(11, pytest.approx(1.1), "merge", 2, 1)
@@ -59,18 +59,18 @@ def test_a_merge_is_told_of_the_smaller_group():
     ],
     ids=["split", "touch", "missed", "newcomer"],
 )
-def test_what_lasts_a_moment_is_no_event_and_changes_no_group(usual, moment, groups):
+def test_short_changes_are_ignored(usual, moment, groups):
     found, events = play([usual] * 10 + [moment] * 3 + [usual] * 10)
     assert [event.kind for event in events] == ["appear"] * len(set(usual.values()))
     assert found[-1] == groups
 
 
-def test_a_group_that_is_not_seen_for_long_vanishes_with_the_frame_in_which_it_was_last_seen():
+def test_unseen_group_vanishes_with_its_last_frame():
     _, told = play([TOGETHER] * 10 + [{}] * 10)
     assert told[-1] == Event(10, pytest.approx(1.0), "vanish", 1)
 
 
-def test_without_hold_the_groups_are_the_clusters():
+def test_without_hold_time_groups_are_the_clusters():
     rng = np.random.default_rng(4)
     frames = [
         dict(zip(range(1, 7), rng.integers(0, 3, 6).tolist(), strict=True)) for _ in range(40)
@@ -81,7 +81,7 @@ def test_without_hold_the_groups_are_the_clusters():
         assert len(pairs) == len(set(clusters.values())) == len(set(group.values()))
 
 
-def test_every_life_has_one_beginning_and_at_most_one_end():
+def test_every_group_begins_once_and_ends_at_most_once():
     for seed in range(30):
         rng = np.random.default_rng(seed)
         frames = []

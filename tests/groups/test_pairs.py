@@ -46,7 +46,7 @@ def symmetric(rng: np.random.Generator, n: int, shift: float = 0.0) -> F8:
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, pytest.param(7, marks=pytest.mark.slow)])
-def test_clusters_are_the_best_of_all_partitions(n: int) -> None:
+def test_clusters_are_the_best_partition(n: int) -> None:
     rng = np.random.default_rng(n)
     for _ in range(20):
         gain = symmetric(rng, n, rng.choice([-0.5, 0.0, 0.5]))
@@ -104,7 +104,7 @@ def row_odds(w: Walkers, strangers: float) -> float:
     return near / density * student(du**2 + dv**2, step) / student(du**2 + dv**2, own)
 
 
-def test_the_odds_are_those_of_a_chain_of_two_states() -> None:
+def test_odds_are_those_of_a_two_state_chain() -> None:
     """By every sequence of states, together or apart, of what was seen up to a row, and of all that
     was seen.
     """
@@ -180,7 +180,7 @@ def side_by_side(
     ]
 
 
-def test_companions_are_a_group_and_passers_by_are_none() -> None:
+def test_companions_are_grouped_and_passers_by_are_not() -> None:
     assert all(together(online(side_by_side(0.8))))
     assert not any(together(online(side_by_side(4.5))))
     passing = [
@@ -191,7 +191,7 @@ def test_companions_are_a_group_and_passers_by_are_none() -> None:
     assert not any(together(online(passing)))
 
 
-def test_a_pair_has_a_memory_and_may_part() -> None:
+def test_pair_evidence_decays_and_pairs_may_part() -> None:
     """Two who walked together stay a group through a step aside; after they have parted for good
     they are none.
     """
@@ -211,7 +211,7 @@ def test_a_pair_has_a_memory_and_may_part() -> None:
     assert not any(found[85:])
 
 
-def test_uncertain_people_say_less() -> None:
+def test_uncertain_people_give_less_evidence() -> None:
     def evidence(variance: float) -> float:
         state = PairState()
         for frame in side_by_side(0.5, 3, variance=variance):
@@ -221,7 +221,7 @@ def test_uncertain_people_say_less() -> None:
     assert evidence(0.0) > evidence(0.3) > evidence(3.0)
 
 
-def test_a_chain_of_strangers_is_no_group_where_a_row_of_companions_is() -> None:
+def test_chain_of_strangers_is_not_a_group() -> None:
     """Four abreast are one group. Two couples are two, though one of each passes close to one of
     the other for a while.
     """
@@ -241,7 +241,7 @@ def test_a_chain_of_strangers_is_no_group_where_a_row_of_companions_is() -> None
         assert all(label.tolist() == [0, 0, 1, 1] for label in found[3:])
 
 
-def test_the_forgotten_are_forgotten() -> None:
+def test_lost_identities_are_forgotten() -> None:
     state = PairState()
     for frame in [*side_by_side(1.0, 5), walkers(100.0, {9: (0, 0, 0, 0)})]:
         state, label = PAIRS.extend(state, frame)

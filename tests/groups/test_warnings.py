@@ -9,7 +9,7 @@ from group_cases import people
 from phdtrack.groups.life_cycle import EncounterWarning
 
 
-def test_two_who_walk_towards_each_other_are_warned_of_in_time():
+def test_approaching_people_raise_a_warning_in_time():
     (warned,) = EncounterWarning(horizon=6).expected(
         np.array([4, 2]), people([(0, 0, 1, 0), (10, 1, -1, 0)], sd=0)
     )
@@ -32,11 +32,11 @@ def test_two_who_walk_towards_each_other_are_warned_of_in_time():
         ((0, 0, 1, 0), (6, 0, -1, 0), 1),  # of one group
     ],
 )
-def test_no_warning_where_groups_do_not_meet(first, second, group):
+def test_groups_that_do_not_meet_raise_no_warning(first, second, group):
     assert EncounterWarning().expected(np.array([1, group]), people([first, second], sd=0)) == ()
 
 
-def test_the_deviation_and_the_probability_are_those_of_drawn_paths():
+def test_warning_probability_agrees_with_sampled_paths():
     cov = np.diag([0.04, 0.04, 0.01, 0.01])
     members = replace(people([(0, 0, 1, 0), (6, 1.8, -1, 0)]), covariance=np.stack([cov, cov]))
     (warned,) = EncounterWarning().expected(np.array([1, 2]), members)
@@ -48,7 +48,7 @@ def test_the_deviation_and_the_probability_are_those_of_drawn_paths():
     assert warned.probability == pytest.approx((np.abs(apart[1]) < 2).mean(), abs=0.02)
 
 
-def test_the_likeliest_pair_of_members_speaks_for_two_groups():
+def test_most_probable_pair_of_members_is_reported():
     members = people([(0, 0, 1, 0), (0, 6, 1, 0), (6, 6.5, -1, 0)], sd=0)
     (warned,) = EncounterWarning().expected(np.array([1, 1, 2]), members)
     assert warned.distance == pytest.approx(0.5)

@@ -10,7 +10,7 @@ import pytest
 
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections
-from phdtrack.formats.markup import read_annotated
+from phdtrack.formats.annotations import read_annotated
 from phdtrack.label import DRAWN, Label, LabelStore
 from phdtrack.label.exchange import Exchange, Taken, frames_of
 from phdtrack.types import Detections, DetectionTable, SequenceInfo
@@ -168,9 +168,9 @@ def test_what_cannot_be_taken_is_refused_and_changes_nothing(tmp_path):
         ("<dataset/>", "expected CVAT, whose outermost element"),
         (
             json.dumps(COCO | {"images": [{"id": 1, "frame_id": 1.5}], "annotations": []}),
-            "whole numbers of frames",
+            "whole frame numbers",
         ),
-        ("7", "expected COCO .JSON. or CVAT .XML., came b'7'"),
+        ("7", "expected COCO .JSON. or CVAT .XML., got b'7'"),
         (
             (
                 '<annotations><image id="1"><box xtl="1" ytl="1" xbr="x"'
@@ -178,8 +178,8 @@ def test_what_cannot_be_taken_is_refused_and_changes_nothing(tmp_path):
             ),
             "finite number for xbr",
         ),
-        (json.dumps([{"image_id": 1, "bbox": [1, 2, 0, 4]}]), "a box of some width and height"),
-        ('[{"image_id": 1, "bbox": [1, NaN, 3, 4]}]', "a box of some width and height"),
+        (json.dumps([{"image_id": 1, "bbox": [1, 2, 0, 4]}]), "a box with a width and a height"),
+        ('[{"image_id": 1, "bbox": [1, NaN, 3, 4]}]', "a box with a width and a height"),
         ('<annotations><box xtl="1" ytl="1" xbr="3" ybr="2"/></annotations>', "frame"),
     ):
         path.write_text(text)

@@ -140,11 +140,11 @@ BESIDE = [0, 25, 20, 65]
         ("clutter", life(1, HERE, 1), life(9, HERE, 1) + life(9, FAR, 2), [(2, FAR)]),
     ],
 )
-def test_each_cause_of_a_false_box(cause: str, truth, tracks, seen):
+def test_each_cause_of_a_false_positive(cause: str, truth, tracks, seen):
     assert false(case(truth=truth, tracks=tracks, seen=seen)) == {cause: 1}
 
 
-def test_false_boxes_without_detections():
+def test_false_positives_without_detections():
     """A box over an object that has its own track is a duplicate, one over nothing a ghost of a
     track that was right.
     """
@@ -153,7 +153,7 @@ def test_false_boxes_without_detections():
     assert false(case(truth=truth, tracks=tracks)) == {"duplicate": 1, "ghost": 1}
 
 
-def test_the_worst_come_first_and_those_without_errors_not_at_all():
+def test_objects_are_listed_by_number_of_errors():
     truth = life(1, HERE, 1) + life(2, FAR, 1, 2, 3) + life(3, THERE, 1, 2)
     errors = case(
         truth=truth, tracks=life(9, HERE, 1) + life(8, FAR, 3) + life(7, [900, 0, 920, 9], 1, 2)
@@ -165,7 +165,7 @@ def test_the_worst_come_first_and_those_without_errors_not_at_all():
     assert [one["identity"] for one in named["worst_objects"]] == [2]
 
 
-def test_ignored_rows_are_counted_apart():
+def test_ignored_rows_are_counted_separately():
     truth = truth_of([1, 1], [1, 2], [HERE, FAR], [False, True])
     errors = explain(truth, tracks_of([1, 1], [9, 8], [HERE, FAR]))
     assert (errors.ignored, errors.false.sum(), errors.misses.sum()) == (1, 0, 0)

@@ -101,7 +101,7 @@ def by_trackeval(truth, found, kind: str) -> list[tuple[list, list]]:
 
 @pytest.mark.parametrize("kind", ["Car", "Pedestrian"])
 @pytest.mark.parametrize("seed", range(6))
-def test_kitti_as_trackeval_prepares_it(tmp_path: Path, kind: str, seed: int):
+def test_kitti_preprocessing_agrees_with_trackeval(tmp_path: Path, kind: str, seed: int):
     truth, found = drawn(np.random.default_rng(seed), tmp_path)
     annotated, tracks = (
         read(tmp_path / name, kitti=kind)
@@ -163,7 +163,7 @@ FOUND = "1,9,0,0,20,40,1,-1,-1,-1\n2,9,100,0,20,40,1,-1,-1,-1\n"
         ("", 1),
     ],
 )
-def test_lists_of_what_to_ignore(tmp_path: Path, listed: str, false: int):
+def test_ignore_lists_are_applied(tmp_path: Path, listed: str, false: int):
     for name, text in (("gt.txt", GT), ("found.txt", FOUND), ("ignore.csv", listed)):
         (tmp_path / name).write_text(text)
     truth = ignoring(read_truth(tmp_path / "gt.txt"), tmp_path / "ignore.csv")
@@ -182,14 +182,14 @@ def test_lists_of_what_to_ignore(tmp_path: Path, listed: str, false: int):
         "1,a,2,3,4\n",
     ],
 )
-def test_bad_lists_are_refused(tmp_path: Path, listed: str):
+def test_malformed_ignore_lists_are_refused(tmp_path: Path, listed: str):
     (tmp_path / "gt.txt").write_text(GT)
     (tmp_path / "ignore.csv").write_text(listed)
     with pytest.raises(InputError, match=r"ignore\.csv"):
         ignoring(read_truth(tmp_path / "gt.txt"), tmp_path / "ignore.csv")
 
 
-def test_a_region_among_the_rows_of_a_table(tmp_path: Path):
+def test_table_with_a_region_column(tmp_path: Path):
     (tmp_path / "gt.csv").write_text(
         "frame,id,x,y,w,h,region\n1,1,0,0,20,40,0\n2,-1,90,0,50,60,1\n"
     )

@@ -76,7 +76,7 @@ def test_names_of_identities_do_not_matter(seed: int):
 
 @given(seeds)
 @settings(max_examples=25, deadline=None)
-def test_a_part_is_scored_as_if_it_were_all(seed: int):
+def test_part_of_a_sequence_is_scored_alone(seed: int):
     truth, tracks = random_case(np.random.default_rng(seed), objects=6, distractors=True)
     last = int(truth.frame.max(initial=4))
     part = evaluate(truth, tracks, first=4, frames=last).as_dict()
@@ -87,7 +87,7 @@ def test_a_part_is_scored_as_if_it_were_all(seed: int):
 
 @given(seeds, st.booleans())
 @settings(max_examples=25, deadline=None)
-def test_perfect_output(seed: int, distractors: bool):
+def test_perfect_output_has_perfect_scores(seed: int, distractors: bool):
     truth, _ = random_case(np.random.default_rng(seed), objects=5, distractors=distractors)
     assume(not truth.distractor.all())
     # A person under a distractor of exactly her size would be taken out with it: keep them apart.
@@ -109,7 +109,7 @@ def test_perfect_output(seed: int, distractors: bool):
 
 @given(seeds)
 @settings(max_examples=25, deadline=None)
-def test_clutter_lowers_accuracy_and_nothing_else(seed: int):
+def test_clutter_lowers_accuracy_only(seed: int):
     rng = np.random.default_rng(seed)
     truth, tracks = random_case(rng, objects=4)
     far = tracks_of([1, 2, 3], [9000, 9000, 9001], [[5000, 5000, 5050, 5050]] * 3)
@@ -127,14 +127,14 @@ def test_clutter_lowers_accuracy_and_nothing_else(seed: int):
     close(after.MOTP, before.MOTP, 0)
 
 
-def test_pooling_one_sequence_changes_nothing_and_a_pool_can_be_pooled():
+def test_pooling_is_associative():
     parts = [evaluate(*random_case(np.random.default_rng(i), objects=2 + i)) for i in range(4)]
     assert pool(parts[:1]).as_dict() == parts[0].as_dict()
     nested = pool([pool(parts[:2]), pool(parts[2:])]).as_dict()
     assert nested == pytest.approx(pool(parts).as_dict(), abs=1e-12)
 
 
-def test_no_output_and_no_truth():
+def test_scores_without_output_or_truth():
     truth, tracks = random_case(np.random.default_rng(0))
     scores = evaluate(truth, Tracks.empty())
     assert (scores.MODA, scores.MOTA, scores.IDF1, scores.HOTA) == (0, 0, 0, 0)
@@ -152,7 +152,7 @@ def test_no_output_and_no_truth():
     assert scores.false_tracks == len(np.unique(tracks.identity))
 
 
-def test_nothing_at_all_is_null_in_json():
+def test_undefined_scores_are_null_in_json():
     scores = evaluate(NONE, Tracks.empty(), frames=7)
     values = json.loads(json.dumps(scores.as_dict(), allow_nan=False))
     assert list(values)[: len(NAMES)] == NAMES
@@ -161,7 +161,7 @@ def test_nothing_at_all_is_null_in_json():
     assert evaluate(NONE, Tracks.empty()).as_dict()["OSPA"] is None
 
 
-def test_rows_after_the_last_frame_are_left_out():
+def test_rows_after_the_last_frame_are_ignored():
     truth, tracks = random_case(np.random.default_rng(8), frames=40)
     early = evaluate(take(truth, truth.frame <= 20), tracks.select(tracks.frame <= 20), frames=20)
     assert evaluate(truth, tracks, frames=20).as_dict() == early.as_dict()
@@ -197,7 +197,7 @@ def test_settings_out_of_range_are_refused(option):
         evaluate(*GOOD, **option)
 
 
-def test_pools_need_like_parts():
+def test_pools_need_parts_of_one_kind():
     with pytest.raises(InputError, match="at least one"):
         pool([])
     with pytest.raises(InputError, match="same settings"):
@@ -213,7 +213,7 @@ def test_pools_need_like_parts():
         ("distractor", np.zeros(2, int)),
     ],
 )
-def test_columns_of_another_kind_are_refused(column: str, value: object):
+def test_columns_of_another_type_are_refused(column: str, value: object):
     truth = truth_of([1, 2], [1, 1], [[0, 0, 9, 9]] * 2)
     with pytest.raises(InputError, match="truth: expected arrays of whole numbers"):
         evaluate(replace(truth, **{column: value}), perfect(truth))
@@ -223,7 +223,7 @@ def test_columns_of_another_kind_are_refused(column: str, value: object):
     ("part", "word"),
     [({"first": 0}, "first"), ({"first": 5}, "first"), ({"frames": 1.5}, "frames")],
 )
-def test_frames_that_are_none_are_refused(part: dict[str, int], word: str):
+def test_invalid_frame_numbers_are_refused(part: dict[str, int], word: str):
     truth = truth_of([1, 2], [1, 1], [[0, 0, 9, 9]] * 2)
     with pytest.raises(InputError, match=f"{word}: expected"):
         evaluate(truth, perfect(truth), **part)

@@ -93,7 +93,7 @@ def test_real_sequences_agree_with_stone_soup(data, sequence: str):
 
 @given(seeds, st.sampled_from([5.0, 30.0]), st.sampled_from([1.0, 2.0, 3.5]))
 @settings(max_examples=60, deadline=None)
-def test_sets_agree_with_every_mapping_tried(seed: int, c: float, p: float):
+def test_set_metrics_agree_with_brute_force(seed: int, c: float, p: float):
     x, y = sets(seed, most=5)
     distance = np.hypot(*(x[:, :, None] - y[:, None, :]))
     n, m = distance.shape
@@ -122,7 +122,7 @@ def trajectories(seed: int, frames: int = 6, n: int = 2, m: int = 3):
 
 @given(seeds, st.sampled_from([0.0, 0.3, 1.0, 4.0]))
 @settings(max_examples=40, deadline=None)
-def test_trajectories_of_one_object_agree_with_every_mapping_tried(seed: int, gamma: float):
+def test_single_trajectory_agrees_with_brute_force(seed: int, gamma: float):
     """With one object the programme is a shortest path, and its weights are 0 or 1."""
     distance, there, given_ = trajectories(seed, n=1)
     ours = tgospa(distance, there, given_, gamma)
@@ -135,7 +135,7 @@ def test_trajectories_of_one_object_agree_with_every_mapping_tried(seed: int, ga
 
 @given(seeds, st.sampled_from([0.2, 1.0]))
 @settings(max_examples=25, deadline=None)
-def test_the_relaxation_lies_below_and_mostly_on_the_integer_optimum(seed: int, gamma: float):
+def test_relaxation_bounds_the_integer_optimum(seed: int, gamma: float):
     distance, there, given_ = trajectories(seed)
     ours = tgospa(distance, there, given_, gamma).distance
     power = twins.tgospa_power(distance, there, given_, 1.0, 1.0, gamma)
@@ -145,7 +145,7 @@ def test_the_relaxation_lies_below_and_mostly_on_the_integer_optimum(seed: int, 
     assert tgospa(distance, there, given_, 0.0).distance == pytest.approx(without, abs=1e-7)
 
 
-def test_trajectories_of_boxes():
+def test_trajectory_metric_of_boxes():
     truth, tracks = random_case(np.random.default_rng(2), frames=25, objects=6)
     scores = evaluate(truth, tracks)
     assert tgospa_boxes(truth, tracks, gamma=0.0).distance == pytest.approx(

@@ -46,7 +46,7 @@ def compare(ours: Scores, theirs: Figures) -> None:
 
 @pytest.mark.parametrize("distractors", [False, True])
 @pytest.mark.parametrize("seed", range(25))
-def test_random_sequences(seed: int, distractors: bool):
+def test_random_sequences_agree_with_trackeval(seed: int, distractors: bool):
     rng = np.random.default_rng(seed)
     objects = int(rng.integers(1, 9))
     truth, tracks = random_case(rng, objects=objects, distractors=distractors)
@@ -55,7 +55,7 @@ def test_random_sequences(seed: int, distractors: bool):
         compare(ours, figures(truth, tracks, 32, threshold))
 
 
-def test_pooled_sequences():
+def test_pooled_sequences_agree_with_trackeval():
     cases = [
         random_case(np.random.default_rng(50 + i), objects=3 + i, frames=15 + 5 * i)
         for i in range(4)

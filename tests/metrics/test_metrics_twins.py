@@ -19,7 +19,7 @@ thresholds = st.sampled_from([0.3, 0.5, 0.7])
 
 @given(seeds, thresholds)
 @settings(max_examples=60, deadline=None)
-def test_detection_scores(seed: int, threshold: float):
+def test_detection_scores_agree_with_plain_definition(seed: int, threshold: float):
     truth, tracks = random_case(np.random.default_rng(seed), frames=8, objects=3, side=60)
     moda, modp = twins.moda_modp(truth, tracks, threshold)
     ours = evaluate(truth, tracks, iou=threshold)
@@ -28,7 +28,7 @@ def test_detection_scores(seed: int, threshold: float):
 
 @given(seeds, thresholds)
 @settings(max_examples=60, deadline=None)
-def test_tracking_scores(seed: int, threshold: float):
+def test_tracking_scores_agree_with_plain_definition(seed: int, threshold: float):
     truth, tracks = random_case(np.random.default_rng(seed), frames=10, objects=3, side=60)
     twin = twins.tracking(truth, tracks, threshold)
     ours = evaluate(truth, tracks, iou=threshold)
@@ -61,7 +61,7 @@ def laid(truth: Truth, tracks: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 @given(seeds)
 @settings(max_examples=60, deadline=None)
-def test_scores_of_whole_tracks_agree_with_every_mapping_tried(seed: int):
+def test_identity_and_hota_agree_with_brute_force(seed: int):
     truth, tracks = random_case(np.random.default_rng(seed), frames=6, objects=3, side=60)
     tracks = tracks.select(tracks.identity < 1003)
     if len(truth) or len(tracks):
@@ -72,7 +72,7 @@ def test_scores_of_whole_tracks_agree_with_every_mapping_tried(seed: int):
         )
 
 
-def test_pooled_tracks_are_those_of_the_sequences_one_after_the_other():
+def test_pooled_tracks_equal_concatenated_sequences():
     cases = [random_case(np.random.default_rng(i), objects=2 + i, frames=20) for i in range(3)]
     ours = pool([evaluate(truth, tracks, frames=20) for truth, tracks in cases])
     joined = [

@@ -31,13 +31,13 @@ def cells(count):
     return points, np.prod(HIGH - LOW) / count**3
 
 
-def test_integrates_to_one_over_the_volume_and_is_nothing_outside():
+def test_density_integrates_to_one_inside_the_volume():
     points, cell = cells(80)
     assert leaking()(points).sum() * cell == pytest.approx(1, abs=2e-3)
     assert leaking()(np.array([[-0.1, 5.0], [3.0, 6.1], [0.0, 0.0]])).tolist() == [0, 0]
 
 
-def test_mass_inside_against_drawing():
+def test_mass_inside_agrees_with_sampling():
     p = leaking()
     rng = np.random.default_rng(0)
     for m in range(2):
@@ -86,7 +86,7 @@ def test_draws_follow_the_density():
         ({"covariance": np.zeros((2, 3, 3))}, "positive definite"),
     ],
 )
-def test_mistakes_are_told(change, words):
+def test_bad_arguments_are_refused(change, words):
     p = leaking()
     parts = {
         name: getattr(p, name)

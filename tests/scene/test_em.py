@@ -58,7 +58,7 @@ def batch_em(p: SceneDensity, samples: F8, iterations: int = 300) -> SceneDensit
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("uniform", [1e-3, 0.1])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_components_weights_and_means_come_out(case, uniform, seed):
+def test_em_recovers_weights_and_means(case, uniform, seed):
     dim, counts, n = CASES[case]
     p = known(dim, uniform)
     samples = drawn_of(p, n, np.random.default_rng(seed))
@@ -80,7 +80,7 @@ def test_components_weights_and_means_come_out(case, uniform, seed):
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("uniform", [1e-3, 0.1])
-def test_explains_what_it_has_not_seen(case, uniform):
+def test_em_explains_held_out_samples(case, uniform):
     dim, counts, n = CASES[case]
     behind = []
     for seed in range(4, 8):
@@ -101,7 +101,7 @@ def test_explains_what_it_has_not_seen(case, uniform):
     assert np.max(behind) < 0.3
 
 
-def test_equal_samples_keep_the_covariances_above_the_floor():
+def test_equal_samples_keep_covariances_above_the_floor():
     p = known(4)
     samples = np.tile(p.mean[:, :1], 200)
     found = learn(begin(p, (4, 4), drawn_of(p, 200, np.random.default_rng(9))), samples)
@@ -110,7 +110,7 @@ def test_equal_samples_keep_the_covariances_above_the_floor():
     assert np.isfinite(found.log(samples)).all()
 
 
-def test_samples_outside_count_for_nothing_and_nothing_given_is_changed():
+def test_samples_outside_the_volume_are_ignored():
     p = known(4)
     start = grid(p.low, p.high, (4, 4), p.mean[:, 0], np.sqrt(np.diag(p.covariance[0])))
     outside = np.tile(p.high[:, None] + 1, 50)
@@ -124,7 +124,7 @@ def test_samples_outside_count_for_nothing_and_nothing_given_is_changed():
         np.testing.assert_array_equal(was, now)
 
 
-def test_mistakes_are_told():
+def test_bad_arguments_are_refused():
     p = known(4)
     with pytest.raises(InputError, match=r"expected samples \(4, n\)"):
         learn(p, np.zeros((6, 3)))
@@ -134,7 +134,7 @@ def test_mistakes_are_told():
         learn(p, np.full((4, 3), np.inf))
 
 
-def test_births_of_which_some_have_no_velocity():
+def test_births_without_velocity_are_used():
     dim, counts, n = CASES["births"]
     p = known(dim)
     rng = np.random.default_rng(11)
@@ -191,7 +191,7 @@ def two() -> SceneDensity:
     return density([[320, 240, 40, 90], [500, 100, 30, 70]], [slanted, PLACE * 4], [0.7, 0.3])
 
 
-def test_em_raises_the_likelihood_step_by_step_and_leaves_what_was_given():
+def test_every_em_step_raises_the_likelihood():
     rng = np.random.default_rng(2)
     p = two()
     seen = samples_of(drawn_of(p, 300, rng), floor=1e-9)
@@ -206,7 +206,7 @@ def test_em_raises_the_likelihood_step_by_step_and_leaves_what_was_given():
 
 
 @pytest.mark.slow
-def test_a_component_with_less_than_half_its_parameters_goes_and_the_last_stays():
+def test_weak_components_are_removed_except_the_last():
     x = drawn_of(two(), 100, np.random.default_rng(3))
     far = density([[320, 240, 40, 90], [10, 10, 5, 5]], [WIDE, PLACE], [0.9, 0.1])
     assert len(_fitted(far, samples_of(x))) == 1
@@ -226,7 +226,7 @@ def places(rng: np.random.Generator) -> F8:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_place_that_a_wide_component_has_swallowed_is_found(seed):
+def test_cluster_inside_a_wide_component_is_found(seed):
     seen = samples_of(places(np.random.default_rng(seed)), floor=0.1)
     found = _improved(density([[320, 240, 30, 75]], [WIDE], [1.0]), seen)
     for place in ([300.0, 200, 32, 80], [500, 330, 28, 70]):
@@ -239,7 +239,7 @@ def test_a_place_that_a_wide_component_has_swallowed_is_found(seed):
         assert 440 * (1 - found.uniform) * found.weight[near[0]] == pytest.approx(20, abs=6)
 
 
-def test_components_too_many_go():
+def test_superfluous_components_are_removed():
     rng = np.random.default_rng(5)
     flat = rng.uniform(LOW[:, None], HIGH[:, None], (4, 60))
     place = np.array([[300.0], [200], [32], [80]]) + np.array(

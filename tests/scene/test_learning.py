@@ -14,7 +14,7 @@ def door(rng, n):
     return MEAN[:, None] + DEVIATION[:, None] * rng.standard_normal((6, n))
 
 
-def test_births_at_a_door():
+def test_births_at_a_door_are_learned():
     """Some velocities are unknown."""
     mean = MEAN
     deviation = DEVIATION
@@ -38,7 +38,7 @@ def test_births_at_a_door():
         learn_births(states, 5000, SIZE)
 
 
-def test_too_little_is_told():
+def test_too_few_samples_are_reported():
     """As many births as a component needs to exist: half the 27 numbers that it is told by."""
     born = door(np.random.default_rng(3), 14)
     assert learn_births(born, 100, SIZE).learned.samples == 14
@@ -65,7 +65,7 @@ def test_too_little_is_told():
             learn(*arguments)
 
 
-def test_objects_are_where_they_were_detected_so_many_a_frame():
+def test_object_density_and_rate_are_learned():
     rng = np.random.default_rng(8)
     boxes = door(rng, 300)[[0, 1, 4, 5]]
     lesson = learn_boxes(boxes, 40, SIZE, OBJECT_BOXES)
@@ -78,7 +78,7 @@ def test_objects_are_where_they_were_detected_so_many_a_frame():
     np.testing.assert_array_equal((density.low, density.high), (false.low, false.high))
 
 
-def test_a_dozen_samples_from_anywhere_are_not_worth_less_than_nothing():
+def test_few_uniform_samples_do_not_harm():
     """Gaussians explain every sample that they were fitted to; what is kept must not deny the next
     one its place.
     """
@@ -97,7 +97,7 @@ def test_a_dozen_samples_from_anywhere_are_not_worth_less_than_nothing():
     assert at_door.learned.density.uniform < 0.3
 
 
-def test_the_share_of_what_may_be_anywhere_is_learned_from_unseen_samples():
+def test_uniform_share_is_learned_from_held_out_samples():
     rng = np.random.default_rng(7)
     anywhere = rng.uniform(0, 1, (4, 300)) * np.array([640.0, 480, 640, 480])[:, None]
     flag = np.array([500.0, 100, 30, 30])[:, None] + 3 * rng.standard_normal((4, 700))

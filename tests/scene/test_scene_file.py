@@ -31,7 +31,7 @@ def scene():
     return Scene(640, 480, 25.0, "street.mp4", *learned, {"held out": -17.25}, followed)
 
 
-def test_what_is_written_is_read_back(tmp_path):
+def test_written_file_is_read_back(tmp_path):
     path = tmp_path / "scene.json"
     write_scene(path, scene())
     back = read_scene(path)
@@ -46,7 +46,7 @@ def test_what_is_written_is_read_back(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]
 
 
-def test_parts_may_be_missing_and_older_files_know_of_fewer(tmp_path):
+def test_scene_parts_are_optional(tmp_path):
     path = tmp_path / "scene.json"
     write_scene(path, Scene(640, 480, 25.0, "street.mp4"))
     back = read_scene(path)
@@ -83,7 +83,7 @@ def test_parts_may_be_missing_and_older_files_know_of_fewer(tmp_path):
         (lambda document: document["followed"].pop("share"), "KeyError 'share'"),
     ],
 )
-def test_what_is_no_scene_is_told(tmp_path, spoil, words):
+def test_malformed_scene_files_are_refused(tmp_path, spoil, words):
     path = tmp_path / "scene.json"
     write_scene(path, scene())
     document = json.loads(path.read_text())

@@ -40,7 +40,7 @@ def test_first_states_of_straight_tracks():
     assert births_in(Tracks.empty(), 25, 25).shape == (6, 0)
 
 
-def test_noise_on_single_boxes_is_averaged():
+def test_noise_of_single_boxes_is_averaged():
     rng = np.random.default_rng(0)
     box = to_cxcywh(track(1, 2, 12, (100, 100), (3, 0)).xyxy)
     seconds = np.arange(12) / 25
@@ -52,14 +52,14 @@ def test_noise_on_single_boxes_is_averaged():
     assert found.mean() == pytest.approx(3, abs=4 / np.sqrt(110 * 200))
 
 
-def test_volumes_are_those_that_uniform_models_use():
+def test_volumes_equal_those_of_uniform_models():
     low, high = measurement_volume(640, 480)
     assert np.prod(high - low) == image_volume((640.0, 480.0))
     low, high = state_volume((640, 480), 30)
     assert np.prod(high - low) == image_volume((640.0, 480.0)) * 60**2
 
 
-def test_light_that_trembles_teaches_no_births():
+def test_flickering_light_gives_no_birth_samples():
     """In one place for long, and one that moves but is gone within a second: no target has
     entered.
     """
@@ -88,7 +88,7 @@ def learned(samples: int, uniform: float) -> LearnedDensity:
     return LearnedDensity(2.0, p, samples)
 
 
-def test_sizes_are_those_detected_and_somewhat_more():
+def test_size_range_is_slightly_wider_than_detected():
     p = with_prior(
         learned(90, 0.5), np.vstack([np.linspace(20, 40, 1001), np.linspace(50, 100, 1001)])
     ).density
@@ -103,7 +103,7 @@ def test_sizes_are_those_detected_and_somewhat_more():
 
 
 @pytest.mark.parametrize("samples", [10, 30, 1000])
-def test_few_samples_are_sure_of_little(samples: int):
+def test_few_samples_keep_wide_components(samples: int):
     """Of n samples the uniform part is that of PRIOR more that might be anywhere; one that is
     larger stays.
     """

@@ -40,7 +40,7 @@ def targets(found: Detected) -> np.ndarray:
 
 
 @pytest.mark.parametrize("p_detect", [0.0, 0.3, 0.9, 1.0])
-def test_detection_probability(truth: Truth, p_detect: float) -> None:
+def test_detection_probability_is_observed(truth: Truth, p_detect: float) -> None:
     got = targets(run(truth, p_detect=p_detect))
     assert abs(len(got) / len(truth) - p_detect) <= 4 * np.sqrt(
         p_detect * (1 - p_detect) / len(truth)
@@ -50,7 +50,7 @@ def test_detection_probability(truth: Truth, p_detect: float) -> None:
 
 
 @pytest.mark.parametrize(("centre", "size"), [(0.05, 0.05), (0.075, 0.15), (0.0, 0.02)])
-def test_jitter(truth: Truth, centre: float, size: float) -> None:
+def test_box_noise_is_as_set(truth: Truth, centre: float, size: float) -> None:
     got = to_cxcywh(targets(run(truth, jitter=centre, jitter_size=size))[:, 2:])
     true = to_cxcywh(truth.xyxy)
     errors = np.concatenate([(got[:2] - true[:2]) / true[2:], got[2:] / true[2:] - 1])
@@ -62,7 +62,7 @@ def test_jitter(truth: Truth, centre: float, size: float) -> None:
 
 
 @pytest.mark.parametrize("rate", [2.0, 20.0])
-def test_poisson_clutter(truth: Truth, rate: float) -> None:
+def test_clutter_is_poisson_and_uniform(truth: Truth, rate: float) -> None:
     found = run(truth, clutter_rate=rate)
     false = found.source == 0
     number = np.bincount(found.table.frame[false], minlength=401)[1:]
@@ -77,7 +77,7 @@ def test_poisson_clutter(truth: Truth, rate: float) -> None:
     assert set(map(tuple, np.round(np.stack([w, h], axis=1), 6))) <= set(map(tuple, sizes))
 
 
-def test_persistent_places_fire_with_their_probability_around_their_box(truth: Truth) -> None:
+def test_persistent_clutter_fires_as_set(truth: Truth) -> None:
     found = run(truth, places=5, place_fire=0.5, place_jitter=0.1)
     assert found.places.shape == (5, 4)
     assert ((found.places >= 0) & (found.places <= [640, 480, 640, 480])).all()
@@ -92,7 +92,7 @@ def test_persistent_places_fire_with_their_probability_around_their_box(truth: T
         assert np.abs(error.std(axis=0) - 0.1).max() < 4 * 0.1 / np.sqrt(2 * len(error))
 
 
-def test_parts_draw_from_streams_of_their_own(truth: Truth) -> None:
+def test_parts_draw_from_separate_random_streams(truth: Truth) -> None:
     """Targets are the same whatever the clutter, places whatever the Poisson clutter; a higher p_D
     only adds.
     """
@@ -124,7 +124,7 @@ def test_occlusion_lowers_the_detection_probability() -> None:
     )
 
 
-def test_what_makes_no_sense_is_refused(truth: Truth) -> None:
+def test_invalid_settings_are_refused(truth: Truth) -> None:
     rng = np.random.default_rng(0)
     none = DetectionTable(np.zeros(0, np.int64), Detections.empty())
     sizes = np.zeros((0, 2))
@@ -142,7 +142,7 @@ def test_what_makes_no_sense_is_refused(truth: Truth) -> None:
 
 
 @pytest.mark.parametrize("rate", [0.0, 2.0, 10.0])
-def test_added_clutter_reaches_all_frames_and_keeps_the_detections(rate: float) -> None:
+def test_added_clutter_keeps_the_detections(rate: float) -> None:
     rng = np.random.default_rng(3)
     sizes = np.array([[20.0, 50.0], [30.0, 90.0]])
     box = np.concatenate([rng.random((2, 500)) * 400, rng.random((2, 500)) * 50 + 5])

@@ -41,7 +41,7 @@ def difference(scene: Scene, look: Look, number: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_frames_are_pictures_of_the_stated_size(name: str) -> None:
+def test_frames_have_the_stated_size(name: str) -> None:
     scene = make_scene(name, 0, frames=4)
     frames = list(video(scene))
     assert [f.number for f in frames] == [1, 2, 3, 4]
@@ -53,7 +53,7 @@ def test_frames_are_pictures_of_the_stated_size(name: str) -> None:
         assert 40 < frame.image.mean() < 200
 
 
-def test_same_seed_same_video_also_the_second_time() -> None:
+def test_same_seed_gives_the_same_video() -> None:
     scene = make_scene("street", 1, frames=60)
     source = video(scene)
     first, again, same, other = (
@@ -65,7 +65,7 @@ def test_same_seed_same_video_also_the_second_time() -> None:
         assert (a.image != d.image).any()
 
 
-def test_figures_are_visible_where_the_truth_says() -> None:
+def test_figures_are_drawn_at_the_truth() -> None:
     """In its box a figure changes the picture a lot; away from all figures and their shadows
     nothing changes.
     """
@@ -108,7 +108,7 @@ def test_figure_fills_its_box() -> None:
     assert width.max() > 0.75
 
 
-def test_obstacles_hide_who_is_behind_and_not_who_is_before() -> None:
+def test_obstacles_hide_only_people_behind_them() -> None:
     for row, hidden in ((0.70, True), (0.95, False)):
         walks = (Walk(((0.5, row), (0.51, row)), speed=1e-6),)
         obstacles = ((0.4, 0.2, 0.6, 0.85),)
@@ -126,7 +126,7 @@ def changing(scene: Scene, look: Look, frames: int) -> np.ndarray:
     return np.abs(np.diff(grey, axis=0)) > 20
 
 
-def test_waving_plants_are_seen_as_change_often_but_not_always() -> None:
+def test_plants_change_often_but_not_always() -> None:
     scene = make_scene("empty", 0, frames=150, detector=NOTHING)
     look = replace(STILL, plants=5, wave=0.09)
     moving = changing(scene, look, 150)
@@ -147,7 +147,7 @@ def test_waving_plants_are_seen_as_change_often_but_not_always() -> None:
     assert not changing(scene, replace(look, wave=0.0), 10).any()
 
 
-def test_blown_leaves_are_elsewhere_in_every_frame_and_change_nothing_else() -> None:
+def test_leaves_move_in_every_frame() -> None:
     scene = make_scene("empty", 1, frames=30)
     calm, windy = (
         list(Rendered(scene, np.random.default_rng(2), look))
@@ -161,7 +161,7 @@ def test_blown_leaves_are_elsewhere_in_every_frame_and_change_nothing_else() -> 
     assert share.max() < 0.3
 
 
-def test_lamps_blink_flicker_and_noise_have_their_strength() -> None:
+def test_lamps_flicker_and_noise_have_their_strength() -> None:
     scene = make_scene("empty", 0, frames=300, detector=NOTHING)
     moving = changing(scene, replace(STILL, lamps=4), 150)
     assert 0 < moving.any(axis=(1, 2)).mean() < 1

@@ -37,7 +37,7 @@ def test_scene_is_consistent(name: str, seed: int) -> None:
     assert ((scene.truth.xyxy >= 0) & (scene.truth.xyxy <= edge)).all()
 
 
-def test_same_seed_same_scene_other_seed_other_scene() -> None:
+def test_seed_determines_the_scene() -> None:
     a, b, c = (make_scene("street", seed, frames=60) for seed in (5, 5, 6))
     assert (a.truth.xyxy == b.truth.xyxy).all()
     assert (a.detections.detections.xyxy == b.detections.detections.xyxy).all()
@@ -49,7 +49,7 @@ def test_same_seed_same_scene_other_seed_other_scene() -> None:
 
 
 @pytest.mark.parametrize("name", PEOPLE)
-def test_lower_in_the_picture_is_larger(name: str) -> None:
+def test_people_lower_in_the_image_are_larger(name: str) -> None:
     world = NAMED[name]
     box = world.figures(np.random.default_rng(4)).xyxy
     tall = box[:, 3] - box[:, 1]
@@ -60,7 +60,7 @@ def test_lower_in_the_picture_is_larger(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["street", "crowd", "corridor"])
-def test_people_walk_at_the_speed_that_was_asked_for(name: str) -> None:
+def test_people_walk_at_the_set_speed(name: str) -> None:
     """On the ground nobody moves faster than his own speed, and the mean of the fastest steps is
     the scene's speed.
     """
@@ -92,7 +92,7 @@ def test_crossing_pairs_meet() -> None:
         assert side[0] != side[-1]
 
 
-def test_occlusion_hides_people_completely_and_keeps_them_in_the_truth() -> None:
+def test_occluded_people_stay_in_the_truth() -> None:
     scene = make_scene("occlusion", 0)
     hidden = covered(scene.truth, scene.obstacles)
     gone = np.unique(scene.truth.identity[hidden > 0.99])
@@ -130,7 +130,7 @@ def test_doors_are_where_people_appear() -> None:
     assert world.doors_px.shape == (1, 4)
 
 
-def test_unknown_scene_and_setting_name_the_nearest() -> None:
+def test_unknown_names_suggest_the_nearest() -> None:
     with pytest.raises(InputError, match="Did you mean street"):
         make_scene("stret", 0)
     with pytest.raises(InputError, match="Did you mean arrivals"):
@@ -161,7 +161,7 @@ def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
         ([1, 1, 1], [[0, 0, 10, 20], [0, 0, 5, 30], [0, 0, 5, 31]], [4 / 9, 1.0, 0.0]),
     ],
 )
-def test_covered_part(frames: list[int], boxes: list[list[float]], expected: list[float]) -> None:
+def test_covered_share_of_a_box(frames: list[int], boxes: list[list[float]], expected: list[float]) -> None:
     truth = truth_rows(np.array(frames), np.arange(1, len(boxes) + 1), np.array(boxes, float))
     assert np.abs(covered(truth, np.zeros((0, 4))) - expected).max() <= 1 / 9 + 1e-9
     assert (covered(truth, np.array([[0.0, 0, 60, 40]])) == 1).all()

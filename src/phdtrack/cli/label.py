@@ -34,9 +34,8 @@ from phdtrack.devices import size_of
 from phdtrack.errors import InputError
 from phdtrack.files import write_text
 from phdtrack.formats import read_detections
+from phdtrack.formats.annotations import AnnotationFile, read_annotated
 from phdtrack.formats.checks import WrongRows
-from phdtrack.formats.markup import Annotated as AnnotatedFile
-from phdtrack.formats.markup import read_annotated
 from phdtrack.label import LabelStore
 from phdtrack.label.exchange import Exchange, frames_of
 from phdtrack.label.learn_scene import SceneTraining
@@ -144,7 +143,7 @@ def label(
 
 def _exchange(
     labels: Exchange,
-    read: AnnotatedFile | None,
+    read: AnnotationFile | None,
     labeller: str,
     to: tuple[Path | None, bool],
     output: Output,

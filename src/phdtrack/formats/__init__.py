@@ -1,17 +1,16 @@
-"""Files of detections, truth, tracks, states: MOTChallenge, KITTI, CSV, Parquet, JSON lines, COCO,
-CVAT, CVML.
+"""Readers and writers of detections, truth, tracks and states: MOTChallenge, KITTI, CSV, Parquet,
+JSON lines, COCO, CVAT, CVML.
 """
 
-from phdtrack.formats.columns import Warps, WarpsWriter, read_warps
+from phdtrack.formats.exports import EXPORTS, export_tracks
 from phdtrack.formats.read import read_detections, read_tracks, read_tracks_named
 from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo
 from phdtrack.formats.truth import ignoring, read_truth, read_truth_by_class
+from phdtrack.formats.warp_files import Warps, WarpsWriter, read_warps
 from phdtrack.formats.write import (
-    EXPORTS,
     DetectionsWriter,
     StatesWriter,
     TracksWriter,
-    export_tracks,
     write_detections,
     write_tracks,
     write_truth,

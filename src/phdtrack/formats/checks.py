@@ -1,7 +1,7 @@
-"""Where the rows of a file stand in it, and the checks that all formats share.
+"""Where the rows of a file stand, and the checks that all formats share.
 
-The first bad row is reported, by its place in the file, with the number of further rows that have
-the same fault.
+An error names the first bad row by its place in the file and counts the other rows with the same
+fault.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, LAST_FRAME, Bool
 
-_LARGEST = 2.0**53  # beyond it a float no longer tells neighbouring integers apart
+# Beyond it, a float cannot tell neighbouring integers apart.
+_LARGEST_EXACT = 2.0**53
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Origin:
-    """Where rows came from: ``path``, and for each row the 1-based ``number`` (M,) of its ``unit``
-    ("line", "row") there.
+    """The source of M rows: the file's ``path``, and for each row its 1-based ``number`` (M,) in
+    the ``unit`` of the file ("line", "row").
     """
 
     path: Path
@@ -30,13 +31,13 @@ class Origin:
     number: I8
 
     def at(self, row: int) -> str:
-        """The place of row ``row`` in words: "det.txt, line 12"."""
+        """The place of row ``row`` (0-based) for messages: "det.txt, line 12"."""
         return f"{self.path}, {self.unit} {self.number[row]}"
 
 
 class Rule(NamedTuple):
-    """A fault: the rows that have it (M,), its description with places for the row's ``values``
-    (M,) or (M, k), a cure.
+    """A possible fault: which rows have it (M,), its description with placeholders for the row's
+    ``values`` (M,) or (M, k), and the cure.
     """
 
     bad: Bool
@@ -47,35 +48,33 @@ class Rule(NamedTuple):
 
 @dataclass(slots=True)
 class WrongRows:
-    """What is wrong in a file and was left out: how many ``rows``, and the ``first`` error, at
-    ``place`` among the rows.
+    """The malformed rows of a file that were skipped: how many ``rows``, and the ``first`` error,
+    which stands at ``place`` in the file.
     """
 
     rows: int = 0
     first: InputError | None = None
     place: float = math.inf
 
-    def take(self, error: InputError, *places: float) -> None:
-        """Count the rows at these places, of which the first has this error."""
+    def add(self, error: InputError, *places: float) -> None:
+        """Count the rows at these places; ``error`` is about the first of them."""
         self.rows += len(places)
         if places[0] < self.place:
             self.first = error
             self.place = places[0]
 
     def document(self) -> dict[str, object]:
-        """For run.json; empty where nothing was left out."""
+        """The entries of run.json; empty if no row was skipped."""
         if self.rows:
             return {"rows_left_out": self.rows, "first_left_out": str(self.first)}
         return {}
 
     def sentences(self) -> tuple[str, ...]:
-        """What was left out, for people."""
+        """A warning for the user; empty if no row was skipped."""
         if self.rows == 1:
-            many = "1 row that is wrong is"
-        else:
-            many = f"{self.rows} rows that are wrong are"
+            return (f"1 malformed row skipped: {self.first}",)
         if self.rows:
-            return (f"{many} left out, the first: {self.first}",)
+            return (f"{self.rows} malformed rows skipped, the first: {self.first}",)
         return ()
 
 
@@ -85,54 +84,49 @@ def enforce(origin: Origin, *rules: Rule) -> None:
     if not broken:
         return
     row, rule = min(broken, key=lambda pair: pair[0])
+    problem = rule.problem.format(*np.atleast_1d(rule.values[row]).tolist())
     others = int(np.count_nonzero(rule.bad)) - 1
     if others:
-        more = f" ({others} more like it)"
-    else:
-        more = ""
-    problem = rule.problem.format(*np.atleast_1d(rule.values[row]).tolist())
-    raise InputError(problem + more, where=origin.at(row), cure=rule.cure)
+        problem += f" ({others} more like it)"
+    raise InputError(problem, where=origin.at(row), cure=rule.cure)
 
 
-def whole(
-    values: F8, name: str, *, low: float = -_LARGEST, high: float = _LARGEST, cure: str = ""
+def whole_number(
+    values: F8,
+    name: str,
+    *,
+    low: float = -_LARGEST_EXACT,
+    high: float = _LARGEST_EXACT,
+    cure: str = "",
 ) -> Rule:
-    """The fault of a value that is no whole number, is below ``low`` or above ``high``, or too
-    large to be exact.
+    """The fault of a value that is not a whole number from ``low`` to ``high``.
 
     Parameters
     ----------
     values : (M,).
     name : what messages call them.
-    low, high : smallest and largest value allowed.
-    cure : what the message advises.
+    low, high : smallest and largest value allowed; by default, as far as floats are exact.
+    cure : the advice in the message.
     """
     with np.errstate(invalid="ignore"):
         good = (np.floor(values) == values) & (values >= low) & (values <= high)
-    if low > -_LARGEST:
-        limits = f" of {low:.0f} or more"
-    else:
-        limits = ""
-    if high < _LARGEST:
+    limits = ""
+    if high < _LARGEST_EXACT:
         limits = f" from {low:.0f} to {high:.0f}"
-    else:
-        limits = limits
-    return Rule(
-        ~good, f"expected a whole number{limits} for the {name}, came {{:.15g}}", values, cure
-    )
+    elif low > -_LARGEST_EXACT:
+        limits = f" of {low:.0f} or more"
+    problem = f"expected a whole number{limits} for the {name}, got {{:.15g}}"
+    return Rule(~good, problem, values, cure)
 
 
-def far(frame: F8) -> Rule:
+def after_last_frame(frame: F8) -> Rule:
     """The fault of a frame number beyond `LAST_FRAME`."""
-    return Rule(
-        frame > LAST_FRAME, f"expected frame {LAST_FRAME:,} or earlier, came {{:.15g}}", frame
-    )
+    problem = f"expected frame {LAST_FRAME:,} or earlier, got {{:.15g}}"
+    return Rule(frame > LAST_FRAME, problem, frame)
 
 
-def repeated(*columns: F8 | I8) -> I8:
-    """(M,) for each row an earlier one with the same values in all columns (M,); −1 where there is
-    none.
-    """
+def earlier_duplicate(*columns: F8 | I8) -> I8:
+    """(M,) index of an earlier row with equal values in all columns (M,); −1 if there is none."""
     order = np.lexsort(columns)
     same = np.all([np.diff(column[order]) == 0 for column in columns], axis=0)
     before = np.full(len(order), -1)
@@ -140,8 +134,7 @@ def repeated(*columns: F8 | I8) -> I8:
     return before
 
 
-def flag(values: F8, name: str) -> Rule:
+def zero_or_one(values: F8, name: str) -> Rule:
     """The fault of a value that is neither 0 nor 1."""
-    return Rule(
-        (values != 0) & (values != 1), f"expected 0 or 1 for {name}, came {{:.15g}}", values
-    )
+    problem = f"expected 0 or 1 for {name}, got {{:.15g}}"
+    return Rule((values != 0) & (values != 1), problem, values)

@@ -1,4 +1,4 @@
-"""Detections that come line by line and have no end, as from a pipe."""
+"""Detections from a stream without an end, such as a pipe."""
 
 from __future__ import annotations
 
@@ -15,43 +15,42 @@ from phdtrack.formats.checks import Origin, Rule, enforce
 from phdtrack.formats.read import detections_of, frames_of
 from phdtrack.formats.table import Kind, Source, table_of_text
 from phdtrack.formats.text import scan
-from phdtrack.types import DetectionTable
+from phdtrack.types import I8, DetectionTable
 
-_AT_ONCE = 1 << 16
-# Lines that one frame may have.
-_MOST = 100_000
+_BYTES_PER_READ = 1 << 16
+_MAX_ROWS_PER_FRAME = 100_000
 
 
 def stream_detections(file: BinaryIO, name: str) -> Iterator[DetectionTable]:
-    """Detections as they come, of one or more whole frames: a frame is whole when a row of a later
-    one has come.
+    """Yield the detections of one or more complete frames as they arrive. A frame is complete when
+    a row of a later one arrives.
 
-    Raises `InputError` where a line cannot be understood, or is of a frame that was before; the
-    message names the line.
+    Raises `InputError` if a line is malformed or belongs to an earlier frame; the message names the
+    line.
 
     Parameters
     ----------
     file : MOTChallenge or CSV rows in the order of their frames, which count from 1.
-    name : of it, in messages.
+    name : what messages call the stream.
     """
     path = Path(name)
-    cut = b""
-    read = 0
+    incomplete_line = b""
+    lines_read = 0
     header = list[bytes]()
-    # The lines that are not given yet, and their numbers; the frame that was given last.
+    # The lines that were not yielded yet, and their numbers; the frame that was yielded last.
     lines = list[bytes]()
     numbers = list[int]()
     last = 0
-    going = True
-    while going:
-        new = os.read(file.fileno(), _AT_ONCE)
-        going = bool(new)
-        *whole, cut = (cut + new).split(b"\n")
-        for line in whole if going else [*whole, cut]:
-            read += 1
+    open_ = True
+    while open_:
+        data = os.read(file.fileno(), _BYTES_PER_READ)
+        open_ = bool(data)
+        *whole, incomplete_line = (incomplete_line + data).split(b"\n")
+        for line in whole if open_ else [*whole, incomplete_line]:
+            lines_read += 1
             if line.strip() and not line.lstrip().startswith(b"#"):
                 lines.append(line)
-                numbers.append(read)
+                numbers.append(lines_read)
         text = scan(path, b"\n".join([*header, *lines]))
         if text.header and not header:
             header = [lines.pop(0)]
@@ -60,31 +59,33 @@ def stream_detections(file: BinaryIO, name: str) -> Iterator[DetectionTable]:
             continue
         text = replace(text, origin=Origin(path, "line", np.array(numbers)))
         table = table_of_text(Source(path, b"", Kind.DETECTIONS, 1), text)
-        # Also the rows that may have to wait are looked at when they come.
+        # Rows of an incomplete frame are checked as they arrive, too.
         detections_of(table)
         frame = frames_of(table)
-        before = np.concatenate([[last + 1], frame[:-1]])
-        problem = (
-            "expected the rows of a stream in the order of their frames, came frame {:.0f} after"
-            " frame {:.0f}"
-        )
-        enforce(
-            text.origin,
-            Rule(
-                frame < before,
-                problem,
-                np.stack([frame, np.concatenate([[last], frame[:-1]])], axis=1),
-            ),
-        )
-        if going:
-            kept = int(np.searchsorted(frame, frame[-1]))
+        _check_order(text.origin, frame, last)
+        if open_:
+            complete = int(np.searchsorted(frame, frame[-1]))
         else:
-            kept = len(frame)
-        if len(frame) - kept > _MOST:
+            complete = len(frame)
+        if len(frame) - complete > _MAX_ROWS_PER_FRAME:
             raise InputError(
-                f"expected at most {_MOST} rows of a frame, came more", where=text.origin.at(kept)
+                f"expected at most {_MAX_ROWS_PER_FRAME} rows of a frame, got more",
+                where=text.origin.at(complete),
             )
-        if kept:
-            last = int(frame[kept - 1])
-            yield detections_of(table.select(np.arange(kept)))
-            del lines[:kept], numbers[:kept]
+        if complete:
+            last = int(frame[complete - 1])
+            yield detections_of(table.select(np.arange(complete)))
+            del lines[:complete], numbers[:complete]
+
+
+def _check_order(origin: Origin, frame: I8, last: int) -> None:
+    """Raise `InputError` if a row comes after one of a later frame, or at frame ``last``, which is
+    complete.
+    """
+    earliest = np.concatenate([[last + 1], frame[:-1]])
+    previous = np.concatenate([[last], frame[:-1]])
+    problem = (
+        "expected the rows of a stream in the order of their frames, got frame {:.0f} after"
+        " frame {:.0f}"
+    )
+    enforce(origin, Rule(frame < earliest, problem, np.stack([frame, previous], axis=1)))

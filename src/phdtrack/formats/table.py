@@ -1,25 +1,25 @@
-"""Tables of boxes: which column means what, by the names in a header or by position, in text and in
-Parquet files.
+"""Tables of boxes in text and Parquet files. The names in a header, or else the positions, decide
+which column means what.
 
-A MOTChallenge file has no header. It is read as if it had one, the names by position (1-based)
-being: 1 frame, 2 identity, 3–6 left, top, width, height, 7 confidence (optional). Then
+A MOTChallenge file has no header. Its columns by position (1-based) are: 1 frame, 2 identity, 3–6
+left, top, width, height, 7 confidence (optional). Then
 
 * detections: 11 class, 12–21 the upper triangle, by rows, of the covariance of (centre x, centre y,
   width, height);
-* truth of 8 or 9 columns (MOT16 and later): 8 class; in 10 columns (MOT15) 8–10 are places in the
-  world, not used;
+* truth of 8 or 9 columns (MOT16 and later): 8 class; in 10 columns (MOT15) 8–10 are world
+  coordinates, which are not used;
 * tracks: 11 detection, 12 confirmed, 13 class.
 
 Classes are whole numbers, or words, which get numbers from 1 in alphabetical order.
 
-By name, a box may be given by left, top, width, height, by left, top, right, bottom, or by its
-centre and size. Plain ``x, y`` with a size means left and top, as in COCO, unless the header names
-left or centre otherwise. A Parquet file needs pyarrow, which is imported on use.
+A header may name a box as left, top, width, height, as left, top, right, bottom, or by its centre
+and size. Plain ``x, y`` with a size means left and top, as in COCO, unless the header names left or
+centre as well. A Parquet file needs pyarrow, which is imported on use.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -34,11 +34,10 @@ from phdtrack.types import F8, I8, Bool
 
 
 class Column(Enum):
-    """A column: the value of rows in files without it, None where it is needed, and what a header
-    may call it.
+    """A column: the value of rows in files without it (None if it is required), and the names that
+    a header may give it, the usual one first.
 
-    The usual name is the first. No header has capitals when it is compared: MOTChallenge's class is
-    known by its position.
+    Headers are compared in lower case, so none matches "MOT class": it is known by position only.
     """
 
     FRAME = (
@@ -97,18 +96,16 @@ class Column(Enum):
 
 
 class Kind(Enum):
-    """What a file is read as, and the columns that are read beside the box."""
+    """The kind of rows that a file is read as, with the columns that are read beside the box."""
 
     DETECTIONS = Column.FRAME, Column.CONFIDENCE, Column.CLASS
     TRUTH = (
-        *(
-            Column.FRAME,
-            Column.IDENTITY,
-            Column.CONFIDENCE,
-            Column.MOT_CLASS,
-            Column.DISTRACTOR,
-            Column.REGION,
-        ),
+        Column.FRAME,
+        Column.IDENTITY,
+        Column.CONFIDENCE,
+        Column.MOT_CLASS,
+        Column.DISTRACTOR,
+        Column.REGION,
         Column.CLASS,
     )
     IGNORED = Column.FRAME, Column.IDENTITY
@@ -123,8 +120,8 @@ _COVARIANCE = tuple(f"cov_{a}_{b}" for i, a in enumerate("xywh") for b in "xywh"
 
 
 class Source(NamedTuple):
-    """A file to be read: ``content`` are its bytes, ``first`` is the number that it gives the first
-    frame. Rows that are wrong end the reading, or go to ``left_out``."""
+    """A file to be read: its bytes ``content``, and the number ``first`` that it gives the first
+    frame. Malformed rows are errors, or are added to ``left_out``."""
 
     path: Path
     content: bytes
@@ -135,17 +132,17 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """M boxes, unchecked.
+    """M boxes, not checked yet.
 
     Attributes
     ----------
-    origin : where each row stands in its file.
+    origin : the place of each row in its file.
     first : the number of the first frame.
     values : (M,) of each column that the file has.
     triangle : (M, 10) upper triangle, by rows, of the covariance of (centre x, centre y, width,
-        height) in pixels²; (M, 0) where the file has none.
-    names : what the file calls the classes, by number; empty where they are numbers there.
-    kitti : whether it is a KITTI label file.
+        height) in pixels²; (M, 0) if the file has none.
+    names : the names of the classes by number; empty if the file has numbers.
+    kitti : True for a KITTI label file.
     """
 
     origin: Origin
@@ -156,16 +153,16 @@ class Table:
     kitti: bool = False
 
     def get(self, column: Column) -> F8:
-        """(M,) the column, or its default where the file does not have it."""
+        """(M,) the column, or its default if the file does not have it."""
         if column in self.values:
             return self.values[column]
-        return np.full(len(self.origin.number), 0.0 if column.default is None else column.default)
+        return np.full(len(self.origin.number), column.default or 0.0)
 
     def select(self, index: I8 | Bool) -> Table:
         """The rows ``index``."""
-        origin = Origin(self.origin.path, self.origin.unit, self.origin.number[index])
+        origin = replace(self.origin, number=self.origin.number[index])
         values = {column: value[index] for column, value in self.values.items()}
-        return Table(origin, self.first, values, self.triangle[index], self.names, self.kitti)
+        return replace(self, origin=origin, values=values, triangle=self.triangle[index])
 
     def xyxy(self) -> F8:
         """(M, 4) the boxes, pixels."""
@@ -182,80 +179,79 @@ class Table:
 
 
 def table_of_text(source: Source, text: Text) -> Table:
-    """The boxes in a text table; `InputError` where a column or a number is missing or wrong."""
+    """The boxes in a text table. Raises `InputError` if a column or a number is missing or
+    malformed.
+    """
     if len(text) and not text.header and text.width < 6:
         problem = (
-            f"expected at least 6 columns (frame, id, left, top, width, height), came {text.width}"
+            f"expected at least 6 columns (frame, id, left, top, width, height), got {text.width}"
         )
-        cure = "Give the columns in this order, or name them in a header line."
-        raise InputError(problem, where=text.origin.at(0), cure=cure)
+        raise InputError(
+            problem,
+            where=text.origin.at(0),
+            cure="Give the columns in this order, or name them in a header line.",
+        )
     header = text.header or _by_position(_kind(source, text), text.width or 6)
     layout = _layout(source, header, text.empty)
-    columns = {i: header[i] for i in layout.at}
+    columns = {place: header[place] for place in layout.places}
     if source.left_out is not None:
-        at = _word(text, layout)
-        text = text.readable({i: name for i, name in columns.items() if i != at}, source.left_out)
-    text, names = _numbered(text, layout, source.left_out)
-    return replace(_table(source, text.origin, layout, numbers(text, columns)), names=names)
+        words = _place_of_words(text, layout)
+        numeric = {place: name for place, name in columns.items() if place != words}
+        text = text.readable(numeric, source.left_out)
+    text, names = _number_classes(text, layout, source.left_out)
+    return _table(source, text.origin, layout, numbers(text, columns), names)
 
 
 def table_of_parquet(source: Source) -> Table:
-    """The boxes in a Parquet file; `InputError` where a column is missing or holds no numbers, or
-    pyarrow is missing.
+    """The boxes in a Parquet file. Raises `InputError` if a column is missing or does not hold
+    numbers, or pyarrow is missing.
     """
-    arrow, parquet = (needed(name) for name in ("pyarrow", "pyarrow.parquet"))
+    arrow = needed("pyarrow")
+    parquet = needed("pyarrow.parquet")
     try:
         table = parquet.ParquetFile(arrow.BufferReader(source.content)).read()
-    except (
-        arrow.ArrowException,
-        OSError,
-        UnicodeDecodeError,
-    ) as error:  # a broken footer can be any of them
+    except (arrow.ArrowException, OSError, UnicodeDecodeError) as error:
+        # A broken footer raises any of them.
         raise InputError(
             f"expected a Parquet file, which cannot be read: {error}", where=source.path
         ) from None
     header = [normalise(str(name)) for name in table.column_names]
-    layout = _layout(source, header, lambda at: table.column(at).null_count == len(table))
+    layout = _layout(source, header, lambda place: table.column(place).null_count == len(table))
     values = []
     names = dict[int, str]()
-    for k, at in enumerate(layout.at):
+    for k, place in enumerate(layout.places):
+        cells = table.column(place)
         try:
-            cells = table.column(at)
             if layout.columns[k : k + 1] == [Column.CLASS]:
                 words = cells.to_pylist()
-            else:
-                words = []
-            if any(isinstance(word, str) for word in words):
-                names = dict(enumerate(sorted({str(word) for word in words} - {"None"}), start=1))
-                number = {word: one for one, word in names.items()}
-                cells = arrow.array([number.get(str(word)) for word in words])
-            values.append(
-                cells.cast(arrow.float64()).fill_null(np.nan).to_numpy(zero_copy_only=False)
-            )
+                if any(isinstance(word, str) for word in words):
+                    names = _names(word for word in words if word is not None)
+                    number = {word: key for key, word in names.items()}
+                    cells = arrow.array([number.get(word) for word in words])
+            column = cells.cast(arrow.float64()).fill_null(np.nan)
         except arrow.ArrowException:
-            problem = (
-                f"expected numbers in the column {table.column_names[at]}, came"
-                f" {table.column(at).type}"
-            )
             raise InputError(
-                problem, where=source.path, cure="Convert it before it is written."
+                f"expected numbers in the column {table.column_names[place]}, got {cells.type}",
+                where=source.path,
+                cure="Convert it before writing the file.",
             ) from None
+        values.append(column.to_numpy(zero_copy_only=False))
     origin = Origin(source.path, "row", np.arange(1, len(table) + 1))
-    return replace(_table(source, origin, layout, np.stack(values, axis=1)), names=names)
+    return _table(source, origin, layout, np.stack(values, axis=1), names)
 
 
 def _kind(source: Source, text: Text) -> Kind:
-    """What a table without a header holds: a file of tracks may be given as one of detections, for
+    """The kind of a table without a header: a file of tracks may be given as one of detections, for
     its boxes.
 
-    Raises `InputError` where the second column of detections holds no identity: then one is
-    missing.
+    Raises `InputError` if the second column of detections cannot be an identity: then the column
+    is missing.
     """
     if source.kind is not Kind.DETECTIONS or not len(text):
         return source.kind
     cell = [*text.cells(0), "", ""][1]
     if is_number(cell) and float(cell) % 1 > 0:
-        problem = f"column 2 is the identity, a whole number (-1 where there is none), came {cell}"
+        problem = f"column 2 is the identity, a whole number (-1 if there is none), got {cell}"
         cure = (
             "Give frame, id, left, top, width, height, score in this order, or name the columns in"
             " a header line."
@@ -268,13 +264,14 @@ def _kind(source: Source, text: Text) -> Kind:
 
 def _by_position(kind: Kind, width: int) -> list[str]:
     """The names of the columns of a file without a header, "" for those that are not used."""
-    names = ["frame", "id", "left", "top", "width", "height", "confidence"][:width] + [""] * (
-        width - 7
-    )
-    if kind is Kind.DETECTIONS and width > 10:
-        names[10] = "class"
-        names[11:21] = _COVARIANCE if width >= 21 else names[11:21]
-    elif kind is not Kind.DETECTIONS and width in (8, 9):
+    names = ["frame", "id", "left", "top", "width", "height", "confidence"][:width]
+    names += [""] * (width - len(names))
+    if kind is Kind.DETECTIONS:
+        if width > 10:
+            names[10] = "class"
+        if width >= 21:
+            names[11:21] = _COVARIANCE
+    elif width in (8, 9):
         names[7] = "MOT class"
     elif kind is Kind.TRACKS and width >= 12:
         names[10:13] = ("detection", "confirmed", "class")[: width - 10]
@@ -282,97 +279,108 @@ def _by_position(kind: Kind, width: int) -> list[str]:
 
 
 class _Layout(NamedTuple):
-    """The columns to be read, and where they stand in a file, followed by where the covariance does
-    if there is one.
+    """The columns to be read and their positions in the file, followed by the positions of the
+    covariance if there is one.
     """
 
     columns: list[Column]
-    at: list[int]
+    places: list[int]
 
 
 def _layout(source: Source, header: Sequence[str], empty: Callable[[int], bool]) -> _Layout:
-    """The columns to be read, without optional ones that are ``empty``; unknown names are passed
-    over.
+    """Choose the columns to be read. Optional columns that are ``empty`` and unknown names are
+    ignored.
     """
-    places = {
-        column: next((header.index(name) for name in column.names if name in header), -1)
-        for column in Column
-    }
-    if source.kind is Kind.DETECTIONS and places[Column.CLASS] < 0 and "label" in header:
-        # Only of tracks it is the identity.
+    places = {}
+    for column in Column:
+        name = next((name for name in column.names if name in header), "")
+        if name:
+            places[column] = header.index(name)
+    if source.kind is Kind.DETECTIONS and Column.CLASS not in places and "label" in header:
+        # In tracks a label is the identity.
         places[Column.CLASS] = header.index("label")
-    form = next((form for form in _BOXES if all(places[column] >= 0 for column in form)), ())
-    missing = next(
-        (column for column in source.kind.value if column.default is None and places[column] < 0),
-        None,
-    )
-    if missing is not None or not form:
-        what = "box"
+    required = [column for column in source.kind.value if column.default is None]
+    missing = next((column for column in required if column not in places), None)
+    form = next((form for form in _BOXES if all(column in places for column in form)), None)
+    if missing is not None or form is None:
+        name = "box"
         cure = (
             "Name left, top, width, height, or left, top, right, bottom, or cx, cy, width, height."
         )
         if missing is not None:
-            what = missing.names[0]
+            name = missing.names[0]
             cure = f"Name it one of {', '.join(missing.names)}."
-        came = ", ".join(header)[:200]
         raise InputError(
-            f"no column for the {what}; the columns are {came}", where=source.path, cure=cure
+            f"no column for the {name}; the columns are {', '.join(header)[:200]}",
+            where=source.path,
+            cure=cure,
         )
-    wanted = [column for column in source.kind.value if places[column] >= 0]
-    # An optional column without any value is as good as absent.
     columns = [
-        column for column in wanted if column.default is None or not empty(places[column])
-    ] + list(form)
-    at = [places[column] for column in columns]
+        column
+        for column in source.kind.value
+        if column in places and (column.default is None or not empty(places[column]))
+    ]
+    columns += form
+    used = [places[column] for column in columns]
     if source.kind is Kind.DETECTIONS and all(name in header for name in _COVARIANCE):
-        at += [header.index(name) for name in _COVARIANCE]
-    return _Layout(columns, at)
+        used += [header.index(name) for name in _COVARIANCE]
+    return _Layout(columns, used)
 
 
-def _word(text: Text, layout: _Layout) -> int:
-    """The place of the class, where the first row that has one has no number for it; −1
-    otherwise.
-    """
-    at = next(
-        (i for column, i in zip(layout.columns, layout.at, strict=False) if column is Column.CLASS),
-        -1,
-    )
-    cells = (text.cells(row)[at : at + 1] for row in range(len(text)))
-    if at >= 0 and not is_number(next((one[0] for one in cells if one), "0")):
-        return at
+def _place_of_words(text: Text, layout: _Layout) -> int:
+    """The position of the class column if its first value is not a number; −1 otherwise."""
+    if Column.CLASS not in layout.columns:
+        return -1
+    place = layout.places[layout.columns.index(Column.CLASS)]
+    for row in range(len(text)):
+        cells = text.cells(row)
+        if len(cells) > place:
+            return -1 if is_number(cells[place]) else place
     return -1
 
 
-def _numbered(
+def _number_classes(
     text: Text, layout: _Layout, left_out: WrongRows | None
 ) -> tuple[Text, dict[int, str]]:
-    """The table with numbers in place of classes that are words, and the words by number."""
-    at = _word(text, layout)
-    if at < 0:
+    """Replace classes that are words by numbers: the table, and the words by number."""
+    place = _place_of_words(text, layout)
+    if place < 0:
         return text, {}
     rows = [text.cells(row) for row in range(len(text))]
-    words = sorted({row[at] for row in rows if len(row) > at and not is_number(row[at])} - {""})
-    bad = [k for k, row in enumerate(rows) if len(row) > at and (is_number(row[at]) or not row[at])]
+    bad = [
+        k
+        for k, row in enumerate(rows)
+        if len(row) > place and (is_number(row[place]) or not row[place])
+    ]
     if bad:
-        problem = f"expected a word for the class, as before, came '{rows[bad[0]][at]}'"
+        problem = f"expected a word for the class, as before, got '{rows[bad[0]][place]}'"
         error = InputError(problem, where=text.origin.at(bad[0]))
         if left_out is None:
             raise error
-        left_out.take(error, *text.origin.number[bad].tolist())
+        left_out.add(error, *text.origin.number[bad].tolist())
         kept = np.delete(np.arange(len(rows)), bad).tolist()
         text = text.select(kept)
         rows = [rows[k] for k in kept]
-    number = {word: str(k) for k, word in enumerate(words, start=1)}
-    lines = [
-        ",".join(number[c] if i == at else c.replace(",", ".") for i, c in enumerate(row))
-        for row in rows
-    ]
-    return replace(text, lines=lines, delimiter=","), dict(enumerate(words, start=1))
+    names = _names(row[place] for row in rows if len(row) > place)
+    number = {word: str(key) for key, word in names.items()}
+    lines = []
+    for row in rows:
+        cells = [cell.replace(",", ".") for cell in row]
+        if len(row) > place:
+            cells[place] = number[row[place]]
+        lines.append(",".join(cells))
+    return replace(text, lines=lines, delimiter=","), names
 
 
-def _table(source: Source, origin: Origin, layout: _Layout, values: F8) -> Table:
+def _names(words: Iterable[str]) -> dict[int, str]:
+    """Number the different words from 1 in alphabetical order."""
+    return dict(enumerate(sorted(set(words)), start=1))
+
+
+def _table(
+    source: Source, origin: Origin, layout: _Layout, values: F8, names: Mapping[int, str]
+) -> Table:
     """The table of the values (M, k)."""
     k = len(layout.columns)
-    return Table(
-        origin, source.first, dict(zip(layout.columns, values[:, :k].T, strict=True)), values[:, k:]
-    )
+    columns = dict(zip(layout.columns, values[:, :k].T, strict=True))
+    return Table(origin, source.first, columns, values[:, k:], names)

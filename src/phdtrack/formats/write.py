@@ -1,73 +1,64 @@
-"""Writing tracks, detections, states and truth as text.
+"""Writers of tracks, detections, states and truth as text.
 
-A writer is open while a sequence runs and hands every frame to the operating system at once: what
-was computed is not lost when the program ends before its time. The functions `write_tracks`,
-`write_detections` and `write_truth` write a whole sequence. All but the states are MOTChallenge
-files without a header, which every tool of the field reads:
+A writer stays open while a sequence runs and passes every frame to the operating system at once:
+if the program is killed, the results so far remain. The functions `write_tracks`,
+`write_detections` and `write_truth` write a whole sequence. All files except the states are
+MOTChallenge files without a header, which every tool of the field reads:
 
-* tracks: ``frame,id,left,top,width,height,confidence,x,y,z,detection,confirmed``; x and y metres on
-  the ground and z 0, or all three −1 where the place is not known; a 13th column has the class
-  where there are classes;
-* detections: ``frame,-1,left,top,width,height,confidence,-1,-1,-1,class`` and the 10 values of the
-  covariance where there is one (see `phdtrack.formats.table`);
+* tracks: ``frame,id,left,top,width,height,confidence,x,y,z,detection,confirmed``; x and y are
+  metres on the ground and z is 0, or all three are −1 if the position is unknown; a 13th column has
+  the class if there are classes;
+* detections: ``frame,-1,left,top,width,height,confidence,-1,-1,-1,class``, followed by the 10
+  values of the covariance if there is one (see `phdtrack.formats.table`);
 * truth: ``frame,id,left,top,width,height,flag,class,visibility``, distractors with flag 0 and class
   8, as in MOT16.
 
-`export_tracks` writes tracks as other tools have them: MOTChallenge's ten columns, KITTI's
-eighteen, CSV with a header, Parquet, JSON lines, COCO, CVAT. `read_tracks` reads all of these. A
-Rerun recording is for its viewer only.
-
 States have a header: ``frame,time,weight,detection,left,top,width,height,s0,s1,…``. Frames count
-from 1, times are seconds, boxes pixels of the video, state components as the model has them.
+from 1, times are seconds, boxes are pixels of the video, state components are those of the model.
 """
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
-from xml.sax.saxutils import escape, quoteattr
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.errors import InputError, did_you_mean, needed
-from phdtrack.files import AnyPath, cannot_write, part_of, publish, whole, write_text
+from phdtrack.errors import InputError
+from phdtrack.files import AnyPath, cannot_write, part_of, publish
 from phdtrack.types import (
     F8,
     I8,
     Bool,
     Detections,
     DetectionTable,
-    SequenceInfo,
     Step,
     Tracks,
     Truth,
 )
 
-# Seven digits: a thousandth of a pixel in the largest pictures, and boxes in other units do not
-# collapse.
+# Seven significant digits: a thousandth of a pixel in the largest images, without rounding small
+# boxes in other units to nothing.
 _BOX = "%.7g,%.7g,%.7g,%.7g"
 _TRACK = f"%d,%d,{_BOX},%.7g,%.7g,%.7g,%d,%d,%d"
-# Detections go into filters again: what a detector gives as 32-bit floats comes back as the same
-# floats.
+# Ten significant digits: the 32-bit floats of a detector are read back exactly, for another run.
 _DETECTION = "%d,-1,%.10g,%.10g,%.10g,%.10g,%.10g,-1,-1,-1,%s"
 _TRUTH = f"%d,%d,{_BOX},%d,%d,1"
+_STATE_COLUMNS = ("frame", "time", "weight", "detection", "left", "top", "width", "height")
 _PEDESTRIAN = 1
 _DISTRACTOR = 8
 
 
 class Lines:
-    """A text file that is written line by line, and has its name when it is closed; until then it
-    ends in ``.part``.
+    """A text file that is written line by line. Its name ends in ``.part`` until it is closed.
 
-    ``close`` may be called twice. A file that could not be written to its end is cut after the last
-    whole block and keeps the name with ``.part``; so it does where a ``with`` block is left by an
-    error. `InputError` where it cannot be written.
+    ``close`` may be called twice. After a failed write the file is cut after the last complete
+    block and keeps the name with ``.part``; it also keeps it if an error leaves the ``with`` block.
+    Raises `InputError` if the file cannot be written.
     """
 
     def __init__(self, path: AnyPath) -> None:
@@ -81,7 +72,7 @@ class Lines:
             raise cannot_write(self.path, error) from None
 
     def write(self, pattern: str, *columns: F8 | I8 | Bool | NDArray[np.str_]) -> None:
-        """One line for each row of the columns, which may be (M,) or (M, k); all of them reach the
+        """Write one line for each row of the columns (M,) or (M, k), and pass all of them to the
         operating system.
         """
         width = pattern.count("%")
@@ -109,7 +100,7 @@ class Lines:
             raise cannot_write(self.path, error) from None
 
     def close(self) -> None:
-        """Close the file and give it its name; nothing is left to write."""
+        """Close the file and give it its final name."""
         if self._file.closed:
             return
         self._file.close()
@@ -127,46 +118,41 @@ class Lines:
         self.close()
 
 
-class _Classed(Lines):
-    """A file with classes by name; numbers stand for classes without one."""
+class _ClassWriter(Lines):
+    """A text file with classes by name, or by number if a class has no name."""
 
     def __init__(self, path: AnyPath, names: Mapping[int, str] | None = None) -> None:
         super().__init__(path)
         self._names = names
 
     def labels(self, class_id: I8) -> NDArray[np.str_]:
-        """(N,) what the file calls the classes."""
-        known = self._names or {}
+        """(N,) the classes as text, without characters that would break a line of CSV."""
+        names = self._names or {}
         words = {
-            one: re.sub(r'[^\S ]|[,;"]', "_", known.get(one, str(one)))
-            for one in np.unique(class_id).tolist()
+            number: re.sub(r'[^\S ]|[,;"]', "_", names.get(number, str(number)))
+            for number in np.unique(class_id).tolist()
         }
-        return np.array([words[one] for one in class_id.tolist()], np.str_)
+        return np.array([words[number] for number in class_id.tolist()], np.str_)
 
 
-class TracksWriter(_Classed):
-    """``tracks.csv``, frame by frame; with classes where their ``names`` are given, which may be
+class TracksWriter(_ClassWriter):
+    """Writes ``tracks.csv`` frame by frame; with classes if ``names`` is given, which may be
     empty.
     """
 
     def append(self, tracks: Tracks, place: F8 | None = None) -> None:
-        """Write the rows as they come, of one frame or many; ``place`` (2, M) on the ground, NaN
-        where not known.
+        """Write the rows of one or more frames in the given order; ``place`` (2, M) is their
+        position on the ground in metres, NaN if unknown.
         """
         if place is None:
             place = np.full((2, len(tracks)), np.nan)
-        else:
-            place = place
         known = np.isfinite(place).all(axis=0)
-        if self._names is None:
-            classes = []
-        else:
-            classes = [self.labels(tracks.class_id)]
+        classes = [] if self._names is None else [self.labels(tracks.class_id)]
         self.write(
             _TRACK + ",%s" * len(classes),
             tracks.frame,
             tracks.identity,
-            _ltwh(tracks.xyxy),
+            ltwh(tracks.xyxy),
             tracks.confidence,
             np.where(known, place, -1.0).T,
             np.where(known, 0, -1),
@@ -176,22 +162,20 @@ class TracksWriter(_Classed):
         )
 
 
-class DetectionsWriter(_Classed):
-    """``detections.csv``, frame by frame. A frame that was not observed leaves no trace, as an
-    empty one.
+class DetectionsWriter(_ClassWriter):
+    """Writes ``detections.csv`` frame by frame. A frame without detections has no line, whether it
+    was observed or not.
     """
 
     def append(self, frame: int | I8, detections: Detections) -> None:
-        """Write the detections of frame ``frame``, from 1, or of many frames (N,). All have
-        covariances, or none has.
+        """Write the detections of frame ``frame``, from 1, or of many frames (N,). Either all calls
+        have covariances, or none has.
         """
-        number = np.broadcast_to(frame, len(detections))
-        label = self.labels(detections.class_id)
         columns: list[F8 | I8 | NDArray[np.str_]] = [
-            number,
-            _ltwh(detections.xyxy),
+            np.broadcast_to(frame, len(detections)),
+            ltwh(detections.xyxy),
             detections.confidence,
-            label,
+            self.labels(detections.class_id),
         ]
         if detections.covariance is None:
             self.write(_DETECTION, *columns)
@@ -201,8 +185,8 @@ class DetectionsWriter(_Classed):
 
 
 class StatesWriter(Lines):
-    """``states.csv``, frame by frame: what was extracted before it had identities. The header comes
-    with the first frame.
+    """Writes ``states.csv`` frame by frame: the extracted states, before association. The header is
+    written with the first frame.
     """
 
     _header = ""
@@ -212,12 +196,8 @@ class StatesWriter(Lines):
         dim, n = step.estimates.state.shape
         estimates = step.estimates
         if not self._header:
-            self._header = ",".join(
-                [
-                    "frame,time,weight,detection,left,top,width,height",
-                    *(f"s{i}" for i in range(dim)),
-                ]
-            )
+            columns = [*_STATE_COLUMNS, *(f"s{i}" for i in range(dim))]
+            self._header = ",".join(columns)
             self.write(self._header)
         self.write(
             f"%d,%.6f,%.7g,%d,{_BOX}" + ",%.9g" * dim,
@@ -225,28 +205,29 @@ class StatesWriter(Lines):
             np.full(n, step.time),
             estimates.weight,
             estimates.detection,
-            _ltwh(estimates.xyxy),
+            ltwh(estimates.xyxy),
             estimates.state.T,
         )
 
 
 def write_tracks(path: AnyPath, tracks: Tracks, names: Mapping[int, str] | None = None) -> None:
-    """Write the tracks of a sequence, with classes where there are names or any is not 0; an
-    existing file is replaced.
+    """Write the tracks of a sequence; replaces an existing file. Classes are written if there are
+    names or any class is not 0.
 
-    Raises `InputError` where it cannot be written.
+    Raises `InputError` if the file cannot be written.
 
     Parameters
     ----------
-    path, tracks : the file, and what is written.
-    names : of the classes.
+    path : the file.
+    tracks : the rows to write.
+    names : the names of the classes by number.
     """
     with TracksWriter(path, names or ({} if tracks.class_id.any() else None)) as writer:
         writer.append(tracks)
 
 
 def write_detections(path: AnyPath, table: DetectionTable) -> None:
-    """Write the detections of a sequence; an existing file is replaced. `InputError` where it
+    """Write the detections of a sequence; replaces an existing file. Raises `InputError` if it
     cannot be written.
     """
     with DetectionsWriter(path, table.names) as writer:
@@ -254,10 +235,11 @@ def write_detections(path: AnyPath, table: DetectionTable) -> None:
 
 
 def write_truth(path: AnyPath, truth: Truth) -> None:
-    """Write truth as MOT16 has it: scored rows as pedestrians with flag 1, distractors with flag 0.
+    """Write truth in the form of MOT16: scored rows as pedestrians with flag 1, distractors with
+    flag 0.
 
-    Raises `InputError` where there are regions or a least height, for which the format has no
-    place.
+    Raises `InputError` if there are regions to ignore or a least height, which the format cannot
+    express.
     """
     if len(truth.regions) or truth.least_height:
         raise InputError(
@@ -265,222 +247,9 @@ def write_truth(path: AnyPath, truth: Truth) -> None:
         )
     label = np.where(truth.distractor, _DISTRACTOR, _PEDESTRIAN)
     with Lines(path) as file:
-        file.write(_TRUTH, truth.frame, truth.identity, _ltwh(truth.xyxy), ~truth.distractor, label)
+        file.write(_TRUTH, truth.frame, truth.identity, ltwh(truth.xyxy), ~truth.distractor, label)
 
 
-EXPORTS = {
-    "motchallenge": ".txt",
-    "csv": ".csv",
-    "parquet": ".parquet",
-    "jsonl": ".jsonl",
-    "coco": ".json",
-    "cvat": ".xml",
-    "kitti": ".txt",
-    "rerun": ".rrd",
-}
-"""The formats of `export_tracks`, and what names of such files end in."""
-# Seconds of a track that its trail in a Rerun recording shows.
-_TRAIL = 2.0
-
-
-def export_tracks(
-    path: AnyPath,
-    tracks: Tracks,
-    kind: str,
-    names: Mapping[int, str] | None = None,
-    info: SequenceInfo | None = None,
-) -> None:
-    """Write tracks in a format of other tools; an existing file is replaced.
-
-    Frames count from 0 in KITTI and CVAT, from 1 elsewhere. MOTChallenge has no classes, CVAT no
-    confidence; which detection a row used, and whether it is confirmed, are in CSV, Parquet, JSON
-    lines and COCO. Raises `InputError` where it cannot be written, there is no such format, or
-    pyarrow or rerun-sdk is missing for its format.
-
-    Parameters
-    ----------
-    path, tracks : the file, and what is written, sorted by frame.
-    kind : one of `EXPORTS`.
-    names : of the classes.
-    info : of the sequence, for COCO, CVAT and Rerun.
-    """
-    path = Path(path)
-    info = info or SequenceInfo(0, 0, 0.0)
-    if info.frames:
-        info = replace(info, frames=max(info.frames, int(tracks.frame.max(initial=0))))
-    else:
-        info = info
-    classes = np.unique(tracks.class_id).tolist()
-    words = {
-        k: re.sub(r'[^\S ]|[,;"]', "_", (names or {}).get(k, f"class_{k}" if k else "object"))
-        for k in classes
-    }
-    boxes = [
-        [float(f"{value:.7g}") for value in column] for column in _ltwh(tracks.xyxy).T.tolist()
-    ]
-    columns: dict[str, list[Any]] = {
-        "frame": tracks.frame.tolist(),
-        "identity": tracks.identity.tolist(),
-    }
-    columns |= dict(zip(("left", "top", "width", "height"), boxes, strict=True))
-    columns["confidence"] = [float(f"{value:.7g}") for value in tracks.confidence.tolist()]
-    columns |= {
-        "detection": tracks.detection.tolist(),
-        "confirmed": tracks.confirmed.astype(int).tolist(),
-    }
-    columns["class"] = (
-        [words[k] for k in tracks.class_id.tolist()] if names else tracks.class_id.tolist()
-    )
-    rows = list(zip(*columns.values(), strict=True))
-    match kind:
-        case "motchallenge":
-            lines = [",".join(map(str, (*row[:7], -1, -1, -1))) for row in rows]
-        case "csv":
-            lines = [",".join(columns), *(",".join(map(str, row)) for row in rows)]
-        case "jsonl":
-            lines = [
-                json.dumps(dict(zip(columns, row, strict=True)), ensure_ascii=False) for row in rows
-            ]
-        case "coco":
-            lines = [json.dumps(_coco(columns, tracks, words, info), ensure_ascii=False)]
-        case "cvat":
-            lines = _cvat(tracks, words, info)
-        case "kitti":
-            types = [words[k].replace(" ", "_") for k in tracks.class_id.tolist()]
-            corners = [" ".join(f"{value:.7g}" for value in box) for box in tracks.xyxy.tolist()]
-            lines = [
-                f"{row[0] - 1} {row[1]} {name} -1 -1 -10 {box} -1 -1 -1 -1000 -1000 -1000 -10"
-                f" {row[6]}"
-                for row, name, box in zip(rows, types, corners, strict=True)
-            ]
-        case "parquet":
-            arrow, parquet = (needed(name) for name in ("pyarrow", "pyarrow.parquet"))
-            with whole(path) as part:
-                parquet.write_table(arrow.table(columns), part, compression="zstd")
-            return
-        case "rerun":
-            _rerun(path, tracks, words, info)
-            return
-        case _:
-            raise InputError(
-                f"there is no format {kind!r}", where="--to", cure=did_you_mean(kind, EXPORTS)
-            )
-    write_text(path, "".join(f"{line}\n" for line in lines))
-
-
-def _coco(
-    columns: Mapping[str, list[Any]], tracks: Tracks, words: Mapping[int, str], info: SequenceInfo
-) -> dict[str, Any]:
-    """A COCO data set: an image for each frame of the sequence, an annotation for each row."""
-    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    if info.frames:
-        frames = range(1, info.frames + 1)
-    else:
-        frames = np.unique(tracks.frame).tolist()
-    if info.width:
-        size = {"width": info.width, "height": info.height}
-    else:
-        size = {}
-    return {
-        "images": [
-            {"id": number, "file_name": f"{number:06d}.jpg", "frame_id": number, **size}
-            for number in frames
-        ],
-        "annotations": [
-            {
-                "id": k,
-                "image_id": row["frame"],
-                "track_id": row["identity"],
-                "category_id": label,
-                "bbox": [row["left"], row["top"], row["width"], row["height"]],
-                "area": row["width"] * row["height"],
-                "iscrowd": 0,
-                "score": row["confidence"],
-                "detection": row["detection"],
-                "confirmed": row["confirmed"],
-            }
-            for k, (row, label) in enumerate(
-                zip(rows, tracks.class_id.tolist(), strict=True), start=1
-            )
-        ],
-        "categories": [{"id": number, "name": name} for number, name in words.items()],
-    }
-
-
-def _cvat(tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> list[str]:
-    """The lines of a CVAT document ("for video 1.1"): a track for each identity and class; a box
-    outside at its end.
-    """
-    labels = "".join(f"<label><name>{escape(word)}</name></label>" for word in words.values())
-    if info.width:
-        size = f"<original_size><width>{info.width}</width><height>{info.height}</height></original_size>"
-    else:
-        size = ""
-    task = f"<task><size>{info.frames}</size><mode>interpolation</mode><labels>{labels}</labels>{size}</task>"
-    lines = [
-        '<?xml version="1.0" encoding="utf-8"?>',
-        "<annotations>",
-        f"<version>1.1</version><meta>{task}</meta>",
-    ]
-    corners = " ".join(f'{name}="{{:.7g}}"' for name in ("xtl", "ytl", "xbr", "ybr"))
-    box = f'<box frame="{{}}" keyframe="1" outside="{{}}" occluded="0" {corners} z_order="0"/>'
-    for identity, label in sorted(
-        set(zip(tracks.identity.tolist(), tracks.class_id.tolist(), strict=True))
-    ):
-        mine = tracks.select((tracks.identity == identity) & (tracks.class_id == label))
-        lines.append(f'<track id="{identity}" label={quoteattr(words[label])} source="auto">')
-        numbers = mine.frame.tolist()
-        for number, after, place in zip(
-            numbers, [*numbers[1:], 0], mine.xyxy.tolist(), strict=True
-        ):
-            lines.append(box.format(number - 1, 0, *place))
-            if after != number + 1 and number != info.frames:
-                lines.append(box.format(number, 1, *place))
-        lines.append("</track>")
-    return [*lines, "</annotations>"]
-
-
-def _rerun(path: Path, tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> None:
-    """Write a recording: of each identity the box, called by it and its class, and the way of its
-    foot point in the last two seconds. There are the timelines ``frame``, and where the rate is
-    known ``time``, seconds since the first frame."""
-    rr = needed("rerun")
-    fps = info.fps or 25.0
-    with whole(path) as part:
-        recording = rr.RecordingStream("phdtrack")
-        try:
-            recording.save(part)
-        except (OSError, RuntimeError) as error:
-            raise InputError(f"the file cannot be written ({error})", where=path) from None
-
-        def send(entity: str, number: I8, columns: Any) -> None:
-            index = [rr.TimeColumn("frame", sequence=number)]
-            index += [rr.TimeColumn("time", duration=(number - 1) / fps)] if info.fps else []
-            rr.send_columns(entity, index, columns, recording=recording)
-
-        for identity in np.unique(tracks.identity).tolist():
-            mine = tracks.select(tracks.identity == identity)
-            number = mine.frame
-            box = mine.xyxy
-            entity = f"tracks/{identity}"
-            foot = np.stack([box[:, [0, 2]].mean(axis=1), box[:, 3]], axis=1)
-            begin = np.searchsorted(number, number - round(_TRAIL * fps))
-            trail = [foot[first : last + 1] for last, first in enumerate(begin.tolist())]
-            label = [f"{identity} {words[k]}" for k in mine.class_id.tolist()]
-            color = np.full(len(mine), identity % 65536)
-            size = {
-                "half_sizes": (box[:, 2:] - box[:, :2]) / 2,
-                "centers": (box[:, :2] + box[:, 2:]) / 2,
-            }
-            send(entity, number, rr.Boxes2D.columns(**size, labels=label, class_ids=color))
-            send(f"{entity}/trail", number, rr.LineStrips2D.columns(strips=trail, class_ids=color))
-            # Nothing is shown where it is not seen.
-            ended = number[np.diff(number, append=number[-1:] + 2) > 1] + 1
-            for each in (entity, f"{entity}/trail"):
-                send(each, ended, rr.Clear.columns(is_recursive=np.zeros(len(ended), np.bool_)))
-        recording.disconnect()
-
-
-def _ltwh(xyxy: F8) -> F8:
+def ltwh(xyxy: F8) -> F8:
     """(M, 4) left, top, width, height of the boxes."""
     return np.hstack([xyxy[:, :2], xyxy[:, 2:] - xyxy[:, :2]])

@@ -27,7 +27,7 @@ from scipy.optimize import linear_sum_assignment
 
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
-from phdtrack.formats.markup import Annotated
+from phdtrack.formats.annotations import AnnotationFile
 from phdtrack.label.samples import clip
 from phdtrack.label.store import DRAWN, MARKS, Label, LabelStore, Mark
 from phdtrack.label.suggestions import ALIKE
@@ -52,7 +52,7 @@ class Taken(NamedTuple):
     unmatched: int
 
 
-def frames_of(given: Annotated) -> list[int]:
+def frames_of(given: AnnotationFile) -> list[int]:
     """The frames to label in a file that phdtrack wrote, in their order; none in those of
     others.
     """
@@ -78,7 +78,7 @@ class Exchange:
         """The labels as ``csv``, ``json`` (COCO) or ``xml`` (CVAT "for images 1.1")."""
         return {"csv": self._csv, "json": self._coco, "xml": self._cvat}[kind]()
 
-    def take(self, given: Annotated, labeller: str = "") -> Taken:
+    def take(self, given: AnnotationFile, labeller: str = "") -> Taken:
         """Keep what a file says as marks of those who made them, or of ``labeller`` where it does
         not say who.
 

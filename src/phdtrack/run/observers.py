@@ -12,7 +12,7 @@ import numpy as np
 
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
-from phdtrack.formats.columns import WarpsWriter, read_warps
+from phdtrack.formats.warp_files import WarpsWriter, read_warps
 from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import refuse_standing
 from phdtrack.pipeline import TrackingState
