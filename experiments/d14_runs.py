@@ -28,7 +28,7 @@ from experiments.given_mcmc import GivenMCMC
 from phdtrack import config
 from phdtrack.filters.mcmc import Joint
 from phdtrack.formats import read_truth
-from phdtrack.metrics.trajectories import TargetErrors, rmse_per_target
+from phdtrack.metrics import TargetErrors, rmse_per_target
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, I8, SequenceInfo, Truth
 

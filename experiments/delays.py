@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import iou as overlaps
-from phdtrack.metrics.matching import above, build, tracking_mapping
+from phdtrack.metrics.matching import above, pair_frames, tracking_mapping
 from phdtrack.types import F8, I8, DetectionTable, Tracks, Truth
 
 
@@ -37,13 +37,13 @@ def first_output_delays(
     Distractors do not count. A detection or an output row is an object's where they overlap by
     ``iou``.
     """
-    scene = build(truth, tracks)
-    mapped = tracking_mapping(scene, iou).first_frames(scene)
+    sequence = pair_frames(truth, tracks)
+    mapped = tracking_mapping(sequence, iou).first_frames(sequence)
     detected = np.zeros_like(mapped)
     for number in np.unique(truth.frame)[::-1].tolist():
         rows = np.flatnonzero((truth.frame == number) & ~truth.distractor)
         overlap = above(overlaps(truth.xyxy[rows], detections.at(number).xyxy), iou)
         seen = truth.identity[rows[overlap.max(axis=1, initial=0.0) > 0]]
-        detected[np.searchsorted(scene.truth_identity, seen)] = number
+        detected[np.searchsorted(sequence.truth_identity, seen)] = number
     delay = np.where((mapped > 0) & (detected > 0), (mapped - detected).astype(np.float64), np.nan)
-    return Delays(scene.truth_identity, detected, mapped, delay)
+    return Delays(sequence.truth_identity, detected, mapped, delay)

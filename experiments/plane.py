@@ -32,7 +32,7 @@ from phdtrack import pipeline
 from phdtrack.ground import CountedFrom, read_camera
 from phdtrack.metrics import evaluate
 from phdtrack.metrics.counts import count
-from phdtrack.metrics.matching import FramePair, Scene
+from phdtrack.metrics.matching import FramePair, SequencePair
 from phdtrack.metrics.scores import scores_of
 from phdtrack.types import F8, I8, DetectionTable, Tracks
 
@@ -183,7 +183,7 @@ def places_of(rows: Tracks) -> Places:
     return Places(rows.frame, rows.identity, feet(rows.xyxy))
 
 
-def ground_scene(truth: Places, found: Places, frames: int, near: float) -> Scene:
+def ground_scene(truth: Places, found: Places, frames: int, near: float) -> SequencePair:
     """Truth and output side by side as for boxes, with 1 − d/(2 near) of the distance d in place of
     the overlap (not below 0): an overlap of a half is a distance of ``near``."""
     names, who = np.unique(truth.identity, return_inverse=True)
@@ -195,7 +195,7 @@ def ground_scene(truth: Places, found: Places, frames: int, near: float) -> Scen
         apart = np.hypot(*(truth.point[:, t, None] - found.point[:, None, o]))
         closeness = np.maximum(1 - np.nan_to_num(apart, nan=np.inf) / (2 * near), 0.0)
         pairs.append(FramePair(number, who[t], which[o], closeness, t, o))
-    return Scene(tuple(pairs), frames, names, outputs, 0)
+    return SequencePair(tuple(pairs), frames, names, outputs, 0)
 
 
 def errors(truth: Places, found: Places, far: float) -> F8:

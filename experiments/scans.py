@@ -13,7 +13,7 @@ for each state too many or too few, both over the larger number.
 
 GOSPA (α = 2, order 1) is a sum instead: the distances of the pairs, and c/2 for each target missed
 and each state too many. T-GOSPA is the same of whole trajectories, with γ/2 for each mapping that
-begins or ends (`metrics.trajectories`), here per scan. Filters with labels have trajectories: each
+begins or ends (`metrics.tgospa`), here per scan. Filters with labels have trajectories: each
 one's states by its label, the last word about every scan.
 """
 
@@ -31,7 +31,7 @@ import numpy as np
 from experiments.common import Options, in_parallel, pyplot, table
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics.matching import cheapest
-from phdtrack.metrics.trajectories import TGospaParts, tgospa
+from phdtrack.metrics.tgospa import TGospaParts, tgospa
 from phdtrack.protocols import Extractor, Filter, Model
 from phdtrack.types import F8, I8, Estimates
 

@@ -9,7 +9,10 @@ from phdtrack.errors import InputError
 from phdtrack.formats import find_seqinfo, read_seqinfo
 from phdtrack.types import SequenceInfo
 
-GOOD = "[Sequence]\nname=S1\nimDir=img1\nframeRate=12.5\nseqLength=70\nimWidth=640\nimHeight=480\nimExt=.jpg\n"
+GOOD = (
+    "[Sequence]\nname=S1\nimDir=img1\nframeRate=12.5\nseqLength=70\nimWidth=640\nimHeight=480\n"
+    "imExt=.jpg\n"
+)
 INFO = SequenceInfo(width=640, height=480, fps=12.5, frames=70, name="S1")
 NAME = "seqinfo.ini"
 

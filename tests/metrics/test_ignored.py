@@ -13,7 +13,7 @@ from phdtrack.arrays import area, intersection, iou
 from phdtrack.errors import InputError
 from phdtrack.formats import ignoring, read_tracks, read_truth
 from phdtrack.metrics import evaluate, explain
-from phdtrack.metrics.matching import build
+from phdtrack.metrics.matching import pair_frames
 
 TYPES = ("Car", "Van", "Pedestrian", "Person_sitting", "Cyclist", "DontCare")
 
@@ -107,7 +107,7 @@ def test_kitti_preprocessing_agrees_with_trackeval(tmp_path: Path, kind: str, se
         read(tmp_path / name, kitti=kind)
         for read, name in ((read_truth, "gt.txt"), (read_tracks, "found.txt"))
     )
-    scene = build(annotated, tracks)
+    scene = pair_frames(annotated, tracks)
     kept = {
         pair.number: (annotated.xyxy[pair.truth_row], tracks.xyxy[pair.output_row])
         for pair in scene.pairs

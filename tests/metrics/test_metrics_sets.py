@@ -14,7 +14,7 @@ from metric_cases import close, perfect, random_case, real_case
 from experiments.scans import ospa
 from phdtrack.errors import InputError
 from phdtrack.metrics import evaluate, rmse_per_target, tgospa_boxes
-from phdtrack.metrics.trajectories import tgospa
+from phdtrack.metrics.tgospa import tgospa
 from phdtrack.types import Tracks
 from reference import metrics_twins as twins
 

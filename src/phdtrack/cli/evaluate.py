@@ -230,10 +230,10 @@ def error_tables(out: Output, errors: Errors, worst: int) -> None:
     ]
     tracks = [
         errors.tracks,
-        errors.shown,
+        errors.track_boxes,
         errors.false.sum(axis=1),
         *errors.false.T,
-        errors.last_shown,
+        errors.track_last,
     ]
     head = ["object", "boxes", "misses", *errors.causes, *PLACES, "last"]
     title = "Objects with most misses, and the last frame in which each was followed:"

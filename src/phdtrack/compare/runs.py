@@ -40,7 +40,7 @@ from phdtrack.files import json_value, write_text
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
 from phdtrack.metrics import Scores, explain
 from phdtrack.metrics.counts import Counts, count
-from phdtrack.metrics.matching import build
+from phdtrack.metrics.matching import pair_frames
 from phdtrack.metrics.scores import scores_of
 from phdtrack.multiclass import ClassPipelines
 from phdtrack.parallel import Failed, outcomes
@@ -329,7 +329,7 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
             raise InputError(
                 "no frame was read, and there is nothing to score", where=run.case.name
             )
-        counts = count(build(given.truth, tracks, frames), iou)
+        counts = count(pair_frames(given.truth, tracks, frames), iou)
         errors = explain(given.truth, tracks, given.table, frames=frames, iou=iou).sums()
     numbers = (frames, len(given.table), len(np.unique(tracks.identity)), len(tracks))
     result = RunResult(*numbers, drawn, seconds, counts, iou, given.warning, errors, evidence)

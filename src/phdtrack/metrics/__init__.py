@@ -1,10 +1,9 @@
-"""How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, lives of
-tracks, causes of errors.
-"""
+"""Scores of tracks: VACE and CLEAR, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, and causes of errors."""
 
 from phdtrack.metrics.causes import Errors, explain
+from phdtrack.metrics.rmse import TargetErrors, rmse_per_target
 from phdtrack.metrics.scores import Scores, evaluate, pool
-from phdtrack.metrics.trajectories import TargetErrors, TGospaParts, rmse_per_target, tgospa_boxes
+from phdtrack.metrics.tgospa import TGospaParts, tgospa_boxes
 
 __all__ = [
     "Errors",

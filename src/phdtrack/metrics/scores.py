@@ -1,13 +1,13 @@
-"""All scores of a sequence, or of several pooled; `counts.py` says what each means.
+"""All scores of a sequence, or of several pooled; `counts.py` defines them.
 
-`evaluate` scores one sequence; `pool` adds the sums behind several such results and forms the
-scores again, which is not the mean of the scores: MODA is the mean over the frames of all
-sequences, N_MODA, MOTA, IDF1 and HOTA are pooled as in TrackEval's combined row, OSPA and GOSPA are
-means over all frames, SFDA over those that hold a box; ATA and OSPA2 are those of the sequences one
-after the other, with new identities in each.
+`evaluate` scores one sequence; `pool` adds the sums behind several results and forms the scores
+again, which is not the mean of the scores: MODA is the mean over the frames of all sequences,
+N_MODA, MOTA, IDF1 and HOTA are pooled as in TrackEval's combined row, OSPA and GOSPA are means over
+all frames, SFDA over those with a box; ATA and OSPA2 are those of the concatenated sequences, with
+new identities in each.
 
-A score whose denominator is empty is NaN, never 0 or 1 by convention: MOTA without truth, MOTP
-without a mapped pair.
+A score whose denominator is 0 is NaN, never 0 or 1 by convention: MOTA without truth, MOTP without
+a mapped pair.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.files import json_value
 from phdtrack.metrics.counts import Counts, count
-from phdtrack.metrics.matching import build, check_threshold, ratio
+from phdtrack.metrics.matching import check_threshold, pair_frames, ratio
 from phdtrack.types import F8, Tracks, Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """Scores of a sequence or of several; NaN where undefined. Shares are at most 1, not per cent;
+    """Scores of a sequence or of several; NaN if undefined. Shares are at most 1, not per cent;
     delays are in frames.
 
-    ``counts`` are the sums and ``iou`` the overlap that made a match; `as_dict` leaves them out.
+    ``counts`` are the sums and ``iou`` is the threshold of a match; `as_dict` omits both.
     """
 
     MODA: float
@@ -86,30 +86,26 @@ def evaluate(
 
     Parameters
     ----------
-    truth : annotated boxes; output matched to its distractors counts neither for nor against, as in
-        MOT16 and later.
-    tracks : every row counts, confirmed or not, predicted or not. `Tracks.take` chooses among them.
-    frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame
-        of either side.
-    iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own.
-    first : the first frame that counts, where a part of a sequence is scored: rows before it are
-        left out.
+    truth : annotated boxes; output matched to distractors is ignored, as in MOT16 and later.
+    tracks : output boxes; every row counts, confirmed or not, predicted or not. `Tracks.select`
+        chooses among them.
+    frames : number of frames of the sequence, later rows are ignored; 0: up to the last frame of
+        either side.
+    iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own thresholds.
+    first : the first frame that is scored, to score a part of a sequence.
     """
     check_threshold(iou)
-    for one, kind, what in ((truth, Truth, "annotated objects"), (tracks, Tracks, "tracks")):
-        if not isinstance(one, kind):
-            cure = "Of files they are read by phdtrack.formats.read_truth and read_tracks."
-            raise InputError(
-                f"expected {what} as {kind.__name__}, got {type(one).__name__}",
-                where="evaluate",
-                cure=cure,
-            )
-    return scores_of(count(build(truth, tracks, frames, first), iou), iou)
+    for rows, kind, name in ((truth, Truth, "annotated objects"), (tracks, Tracks, "tracks")):
+        if not isinstance(rows, kind):
+            problem = f"expected {name} as {kind.__name__}, got {type(rows).__name__}"
+            cure = "Read files with phdtrack.formats.read_truth and read_tracks."
+            raise InputError(problem, where="evaluate", cure=cure)
+    return scores_of(count(pair_frames(truth, tracks, frames, first), iou), iou)
 
 
 def pool(parts: Sequence[Scores]) -> Scores:
-    """The scores over several sequences, each one's result of `evaluate` (or of `pool`) with the
-    same threshold. Raises `InputError` for no results, or results with different thresholds."""
+    """The scores over several sequences, from their results of `evaluate` or `pool` with the same
+    threshold. Raises `InputError` for no results, or results with different thresholds."""
     if not parts:
         raise InputError("expected the scores of at least one sequence, got none")
     iou = parts[0].iou
@@ -117,24 +113,23 @@ def pool(parts: Sequence[Scores]) -> Scores:
     if different:
         problem = f"expected results with the same settings, got IoU {iou} and {different[0]}"
         raise InputError(problem, cure="Evaluate all sequences with the same threshold.")
-    return scores_of(
-        Counts(*(sum(getattr(part.counts, f.name) for part in parts) for f in fields(Counts))), iou
-    )
+    sums = (sum(getattr(part.counts, f.name) for part in parts) for f in fields(Counts))
+    return scores_of(Counts(*sums), iou)
 
 
 def hota_per_alpha(counts: Counts) -> tuple[F8, F8, F8]:
-    """(19,) each: HOTA_α, DetA_α and AssA_α; NaN where both sides are empty, AssA 0 where no pair
-    is mapped.
+    """(19,) each: HOTA_α, DetA_α and AssA_α; NaN if both sides are empty. AssA is 0 if no pair is
+    mapped.
     """
-    found = counts.hota_matches
-    either = counts.truth_boxes + counts.output_boxes - found
-    det_a = np.divide(found, either, out=np.full_like(either, np.nan), where=either > 0)
-    ass_a = np.where(either > 0, counts.hota_association / np.maximum(1, found), np.nan)
+    matches = counts.hota_matches
+    either = counts.truth_boxes + counts.output_boxes - matches
+    det_a = np.divide(matches, either, out=np.full_like(either, np.nan), where=either > 0)
+    ass_a = np.where(either > 0, counts.hota_association / np.maximum(1, matches), np.nan)
     return np.sqrt(det_a * ass_a), det_a, ass_a
 
 
 def scores_of(counts: Counts, iou: float) -> Scores:
-    """The scores that follow from ``counts``, made with the threshold ``iou`` [M09 (22)–(25)]."""
+    """The scores from the sums ``counts`` at the threshold ``iou`` [M09 (22)–(25)]."""
     c = counts
     boxes = counts.truth_boxes
     tracks = counts.truth_objects + counts.output_identities
