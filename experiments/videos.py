@@ -24,9 +24,11 @@ import numpy as np
 from experiments.common import ROOT, Options, in_parallel, need_data, table, write
 from phdtrack import config
 from phdtrack.detect import make_detector
+from phdtrack.detect.base import Detector
 from phdtrack.detect.change import ChangeDetector
-from phdtrack.detect.detectors import Rescaled, study, working_width
-from phdtrack.devices import Detector
+from phdtrack.detect.detectors import working_width
+from phdtrack.detect.scene_knowledge import study
+from phdtrack.detect.wrappers import Rescaled
 from phdtrack.formats import read_tracks
 from phdtrack.formats.write import DetectionsWriter
 from phdtrack.video import VideoSource, VideoWriter, open_source

@@ -121,15 +121,3 @@ def size_of(frame: Frame) -> tuple[int, int]:
     picture = frame.picture
     width, height = picture.shape[1::-1] if isinstance(picture, np.ndarray) else picture.size
     return width, height
-
-
-class Detector(Protocol):
-    """From a frame to detections. Background models keep what they have learned of the scene
-    inside: `reset` forgets it.
-    """
-
-    def __call__(self, frame: Frame) -> Detections:
-        """The boxes found in the frame, in its own pixel coordinates."""
-
-    def reset(self) -> None:
-        """Forget everything learned from earlier frames."""

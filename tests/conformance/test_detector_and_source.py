@@ -8,7 +8,7 @@ import pytest
 from shipped import keeps
 
 from phdtrack.detect import DETECTORS, TableDetector, make_detector
-from phdtrack.devices import Detector
+from phdtrack.detect.base import Detector
 from phdtrack.types import Detections, DetectionTable, Frame
 from phdtrack.video import VideoWriter, open_source
 

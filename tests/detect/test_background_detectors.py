@@ -11,9 +11,9 @@ from detect_scenes import Scene
 
 from phdtrack.arrays import iou
 from phdtrack.detect import make_detector
+from phdtrack.detect.base import Detector
 from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
-from phdtrack.detect.detectors import knowledge, restore
-from phdtrack.devices import Detector
+from phdtrack.detect.scene_knowledge import knowledge, restore
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame, Image
 

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper
 
 import networks
-from phdtrack.detect.detectors import class_names, detector_parameters, looked_at, make_detector
+from phdtrack.detect.base import class_names, detect_all
+from phdtrack.detect.detectors import detector_parameters, make_detector
 from phdtrack.detect.onnx import OnnxDetector
 from phdtrack.errors import InputError
 from phdtrack.types import Frame
@@ -159,7 +160,7 @@ def test_frames_looked_at_together_give_what_each_gives_alone(
     many = OnnxDetector(str(path), size=0, batch=3)
     assert many.together == {"N": 3, 1: 1, 4: 4}[shape[0]]
     alone = [make_detector(f"onnx:{path}")(frame) for frame in frames]
-    together = list(looked_at(many, iter(frames)))
+    together = list(detect_all(many, iter(frames)))
     assert [frame.number for frame, *_ in together] == list(range(1, 9))
     for one, (_, other, _) in zip(alone, together, strict=True):
         assert len(one) == 1
@@ -178,7 +179,7 @@ def test_frames_before_an_error_are_looked_at(
 
     seen = list[int]()
     with pytest.raises(InputError, match="ends here"):
-        seen.extend(frame.number for frame, *_ in looked_at(fixed, frames()))  # type: ignore[arg-type]
+        seen.extend(frame.number for frame, *_ in detect_all(fixed, frames()))  # type: ignore[arg-type]
     assert seen == [1, 2, 3, 4, 5, 6]
 
 
@@ -291,7 +292,7 @@ def test_shapes_and_metadata_say_what_the_outputs_are(
     layout = detector._layout
     assert (layout.classes, layout.decode.func.__name__) == (classes, decode)  # type: ignore[attr-defined]
     if classes == 80 and not metadata:
-        assert (detector.names[0], detector.names[79]) == ("person", "toothbrush")
+        assert (detector.class_names[0], detector.names[79]) == ("person", "toothbrush")
 
 
 @pytest.mark.parametrize(
@@ -365,7 +366,7 @@ def test_what_is_no_network_for_pictures_is_refused(
             {},
             "no detector 'yolo'. There are change, .*onnx:FILE; its boxes: --detections FILE",
         ),
-        ("yolo11n.onnx", {}, r"no detector 'yolo11n\.onnx'\. Say onnx:yolo11n\.onnx"),
+        ("yolo11n.onnx", {}, r"no detector 'yolo11n\.onnx'\. Use onnx:yolo11n\.onnx"),
     ):
         monkeypatch.chdir(tmp_path)
         with pytest.raises(InputError, match=message):

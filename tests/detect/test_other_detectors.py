@@ -11,7 +11,8 @@ import pytest
 
 from phdtrack.arrays import iou
 from phdtrack.detect import DETECTORS, detector_parameters, make_detector
-from phdtrack.detect.detectors import Masked, Rescaled, working_width
+from phdtrack.detect.detectors import working_width
+from phdtrack.detect.wrappers import Masked, Rescaled
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame, SequenceInfo
 
@@ -108,7 +109,7 @@ def test_a_region_of_interest(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Masked(inner, mask)(blank()).xyxy, np.array(boxes)[[0, 2, 4]])
     cv2.imwrite(str(tmp_path / "roi.png"), mask)
     assert len(Masked(inner, tmp_path / "roi.png")(blank())) == 3
-    with pytest.raises(InputError, match="black all over"):
+    with pytest.raises(InputError, match="whole mask is black"):
         Masked(inner, np.zeros((120, 160), np.uint8))
     with pytest.raises(InputError, match=r"roi\.png: the mask is 160x120 pixels, frame 1 is 50x40"):
         Masked(inner, str(tmp_path / "roi.png"))(blank(40, 50))

@@ -8,9 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from phdtrack.detect.base import pose_of
 from phdtrack.detect.change import ChangeDetector
-from phdtrack.detect.detectors import Rescaled, knowledge, pose_of, restore, study, unsuited
 from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
+from phdtrack.detect.scene_knowledge import knowledge, restore, scene_warnings, study
+from phdtrack.detect.wrappers import Rescaled
 from phdtrack.devices import Planar, planes_of
 from phdtrack.kernels.planes import luma, smooth
 from phdtrack.types import STILL, Frame, Image
@@ -178,10 +180,10 @@ def test_a_camera_that_moves_and_dark_pictures_are_doubtful() -> None:
         ([m // 6 for m in moving], ["camera moves", "dark"]),
     ):
         detector = Rescaled(ChangeDetector(), 100)
-        assert unsuited(detector) == ()
+        assert scene_warnings(detector) == ()
         frames = [Frame(k + 1, k / 2, image) for k, image in enumerate(images)]
         study(detector, frames)
-        said = unsuited(detector)
+        said = scene_warnings(detector)
         assert [
             word for word in ("camera moves", "dark") if any(word in sentence for sentence in said)
         ] == words

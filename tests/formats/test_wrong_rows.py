@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from format_cases import put
 
-from phdtrack.detect.detectors import frames_walked
+from phdtrack.detect.table_detector import frames_walked
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.formats.checks import WrongRows

@@ -28,8 +28,8 @@ from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, TrackingOptions,
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.show_settings import chosen, scene_settings
 from phdtrack.config import Settings
-from phdtrack.detect.detectors import class_names, make_detector, working_width
-from phdtrack.devices import Detector
+from phdtrack.detect.base import Detector, class_names
+from phdtrack.detect.detectors import make_detector, working_width
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
 from phdtrack.live.checkpoint import EVERY

@@ -33,8 +33,11 @@ import numpy as np
 import phdtrack
 from phdtrack import config
 from phdtrack.compare.plans import Case, Plan, Run
+from phdtrack.detect.base import class_names, detect_all
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.detectors import class_names, frames_walked, looked_at, make_detector, study
+from phdtrack.detect.detectors import make_detector
+from phdtrack.detect.scene_knowledge import study
+from phdtrack.detect.table_detector import frames_walked
 from phdtrack.errors import InputError
 from phdtrack.files import json_value, write_text
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
@@ -281,7 +284,7 @@ def _detect(case: Case, folder: Path) -> dict[str, object]:
     source = open_source(case.source)
     study(detector, replace(source), source.sample)
     with DetectionsWriter(folder / DETECTIONS, class_names(detector)) as writer:
-        for frame, found, _ in looked_at(detector, source):
+        for frame, found, _ in detect_all(detector, source):
             writer.append(frame.number, found)
             numbers.append(frame.number)
             times.append(frame.time)

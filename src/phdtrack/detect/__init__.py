@@ -1,8 +1,7 @@
-"""From frames to measurements: detectors, interchangeable, each of them settings and what it
-learned of the scene.
+"""Detectors: from frames to measurements.
 
-`make_detector` builds one by name. `change` is the default: it needs no model and finds whatever
-differs from the scene.
+`make_detector` builds one by name. `change`, the default, needs no model and finds whatever differs
+from the scene.
 """
 
 from __future__ import annotations
@@ -15,13 +14,21 @@ if TYPE_CHECKING:
     from phdtrack.detect.detectors import (
         BACKGROUND,
         DETECTORS,
-        TableDetector,
         detector_parameters,
-        knowledge,
         make_detector,
-        restore,
     )
+    from phdtrack.detect.scene_knowledge import knowledge, restore
+    from phdtrack.detect.table_detector import TableDetector
 
+_MODULES = {
+    "BACKGROUND": "detectors",
+    "DETECTORS": "detectors",
+    "TableDetector": "table_detector",
+    "detector_parameters": "detectors",
+    "knowledge": "scene_knowledge",
+    "make_detector": "detectors",
+    "restore": "scene_knowledge",
+}
 __all__ = [
     "BACKGROUND",
     "DETECTORS",
@@ -32,4 +39,6 @@ __all__ = [
     "restore",
 ]
 
-__getattr__, __dir__ = lazy(__name__, dict.fromkeys(__all__, f"{__name__}.detectors"))
+__getattr__, __dir__ = lazy(
+    __name__, {name: f"{__name__}.{module}" for name, module in _MODULES.items()}
+)

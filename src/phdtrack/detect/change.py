@@ -99,6 +99,8 @@ _SHAKES = 0.5
 _MOVES = 0.05
 _KNOWN = 0.5
 _LOST = 2.0
+# Attributes that follow from the settings or from `study`, and are not saved.
+_NOT_SAVED = ("_rule", "_past", "_usual", "_anchor", "_pose", "_shaky")
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # How far an outline reaches on both sides of the border of a component.
 _OUTLINE = 3
@@ -185,10 +187,25 @@ class ChangeDetector:
             return self._pose
         return STILL
 
-    def unsuited(self) -> tuple[str, ...]:
-        """What of the scene of a file makes the boxes doubtful, with what would help, in
-        sentences.
-        """
+    def prepare(self, frame: Frame, size: tuple[int, int]) -> None:
+        """Convert the picture to planes of this width and height now."""
+        if not isinstance(frame.picture, np.ndarray):
+            frame.picture.prepare(size)
+
+    def knowledge(self) -> dict[str, Any]:
+        """Everything learned from frames, except what `study` learns again."""
+        return {
+            name: value
+            for name, value in vars(self).items()
+            if name.startswith("_") and name not in _NOT_SAVED
+        }
+
+    def restore(self, knowledge: dict[str, Any]) -> None:
+        """Continue with the knowledge of a detector with the same settings."""
+        vars(self).update(knowledge)
+
+    def scene_warnings(self) -> tuple[str, ...]:
+        """Sentences about properties of the scene that make the boxes unreliable, with the cure."""
         if not self.studied:
             return ()
         share = self._past.differing.mean() / self._past.samples.shape[1]
@@ -471,7 +488,11 @@ class ChangeDetector:
         cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
         # The time since its first frame: however few frames a second there are, one alone is not
         # enough.
-        lasted = np.where(self._blocked_by_ghost > 0, self._blocked_by_ghost + np.float32(passed), np.float32(1e-6))
+        lasted = np.where(
+            self._blocked_by_ghost > 0,
+            self._blocked_by_ghost + np.float32(passed),
+            np.float32(1e-6),
+        )
         self._blocked_by_ghost = np.where(left > 0, lasted, np.float32(0))
         self._ghostly = bool(ghosts)
         lasting = (self._blocked_by_ghost >= _GHOST_SECONDS).astype(np.uint8)
@@ -549,6 +570,14 @@ class MeanBackgroundDetector:
     def reset(self) -> None:
         """Forget the background."""
         self._seen = 0
+
+    def knowledge(self) -> dict[str, Any]:
+        """Everything learned from frames."""
+        return {name: value for name, value in vars(self).items() if name.startswith("_")}
+
+    def restore(self, knowledge: dict[str, Any]) -> None:
+        """Continue with the knowledge of a detector with the same settings."""
+        vars(self).update(knowledge)
 
     def __call__(self, frame: Frame) -> Detections:
         """[D14 §II-B] The boxes of what differs from the background; none while it is learned."""

@@ -168,7 +168,9 @@ class MergedMeasurements(Checked):
         if not left.any():
             return now
         return now.joined(
-            ExpectedTargets(state.state, state.covariance, there, unseen, state.separate).select(left)
+            ExpectedTargets(state.state, state.covariance, there, unseen, state.separate).select(
+                left
+            )
         )
 
 

@@ -161,9 +161,9 @@ class OnnxDetector:
             named = dict(enumerate(named))
         else:
             named = named
-        self.names: Mapping[int, str] = {}
+        self.class_names: Mapping[int, str] = {}
         if isinstance(named, dict) and all(type(key) is int for key in named):
-            self.names = {key: str(value) for key, value in named.items()}
+            self.class_names = {key: str(value) for key, value in named.items()}
         if isinstance(sides, list | tuple):
             sides = [side for side in sides if type(side) is int]
         else:
@@ -182,14 +182,14 @@ class OnnxDetector:
             raise InputError(problem, where="detector.size", cure="Leave it out.")
         self._layout = self._recognised(said.get("task", ""))
         coco = Path(__file__).with_name("coco.txt").read_text(encoding="utf-8").splitlines()
-        if not self.names and self._layout.classes == len(coco):
-            self.names = dict(enumerate(coco))
+        if not self.class_names and self._layout.classes == len(coco):
+            self.class_names = dict(enumerate(coco))
         self._wanted = [
             self._code(word.strip()) for word in self.classes.split(",") if word.strip()
         ]
 
     @property
-    def together(self) -> int:
+    def batch_size(self) -> int:
         """How many frames are looked at in one call."""
         if self._layout.batched and self._input.batch >= 0:
             return self._input.batch or self.batch
@@ -200,13 +200,13 @@ class OnnxDetector:
 
     def __call__(self, frame: Frame) -> Detections:
         """What the network finds in ``frame``, the highest score first."""
-        return self.many([frame])[0]
+        return self.detect_batch([frame])[0]
 
-    def many(self, frames: Sequence[Frame]) -> list[Detections]:
+    def detect_batch(self, frames: Sequence[Frame]) -> list[Detections]:
         """What it finds in each of the frames."""
         placed = [self._place(frame.image) for frame in frames]
         if len({one.tensor.shape for one in placed}) == 1:
-            step = self.together
+            step = self.batch_size
         else:
             step = 1
         outputs = [
@@ -342,7 +342,7 @@ class OnnxDetector:
         found = dict(zip(names, self._run([grey])[0], strict=True))
         layout = None
         if task not in ("obb", "classify"):
-            layout = _of_one([*found.values()], self.layout, len(self.names), task)
+            layout = _of_one([*found.values()], self.layout, len(self.class_names), task)
             layout = layout or (
                 None if self.layout else _of_several(found, self._input.channels_last)
             )
@@ -358,11 +358,11 @@ class OnnxDetector:
 
     def _code(self, word: str) -> int:
         """The number of a class. Raises `InputError` where there is none of this name."""
-        codes = {name.lower(): code for code, name in self.names.items()}
+        codes = {name.lower(): code for code, name in self.class_names.items()}
         code = codes.get(word.lower(), int(word) if word.isdecimal() else -1)
-        if code < 0 or (self.names and code not in self.names):
-            if self.names:
-                cure = did_you_mean(word, self.names.values())
+        if code < 0 or (self.class_names and code not in self.class_names):
+            if self.class_names:
+                cure = did_you_mean(word, self.class_names.values())
             else:
                 cure = "It does not name them: give numbers."
             raise InputError(

@@ -72,6 +72,13 @@ class SubtractorDetector:
                 dist2Threshold=self.threshold or 400.0
             )
 
+    def knowledge(self) -> None:
+        """Return None: OpenCV does not hand out its background model."""
+
+    def restore(self, knowledge: dict[str, Any]) -> None:
+        """Raise `InputError`: OpenCV does not accept a background model."""
+        raise InputError(f"the background model of {self.method} cannot be restored")
+
     def __call__(self, frame: Frame) -> Detections:
         """The boxes of the foreground in ``frame``; none during the warm-up."""
         if not self._seen:

@@ -32,7 +32,7 @@ import numpy as np
 
 from phdtrack import pipeline
 from phdtrack.arrays import iou, to_cxcywh
-from phdtrack.detect.detectors import frames_walked
+from phdtrack.detect.table_detector import frames_walked
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 

@@ -26,18 +26,11 @@ from phdtrack.arrays import share_inside
 from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import counted, progress
 from phdtrack.detect import TableDetector, make_detector
+from phdtrack.detect.base import Detector, class_names, detect_all, pose_of, prepared
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.detectors import (
-    class_names,
-    frames_up_to,
-    frames_walked,
-    looked_at,
-    pose_of,
-    prepared,
-    study,
-    working_width,
-)
-from phdtrack.devices import Detector
+from phdtrack.detect.detectors import working_width
+from phdtrack.detect.scene_knowledge import study
+from phdtrack.detect.table_detector import frames_up_to, frames_walked
 from phdtrack.errors import InputError, shown
 from phdtrack.files import return_memory
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
@@ -112,7 +105,7 @@ def detected(
     detector: Detector, frames: Iterable[Frame], mover: Mover | None = None
 ) -> Iterator[Detected]:
     """Each frame with what ``detector`` sees in it."""
-    for frame, found, seconds in looked_at(detector, frames):
+    for frame, found, seconds in detect_all(detector, frames):
         pose = pose_of(detector, frame)
         yield Detected(
             frame, found, STILL if mover is None else mover(frame, found, pose), seconds, pose

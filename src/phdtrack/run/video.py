@@ -28,7 +28,8 @@ from phdtrack.cli import signals
 from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.show_settings import confirmation
 from phdtrack.detect import BACKGROUND
-from phdtrack.detect.detectors import prepared, unsuited
+from phdtrack.detect.base import prepared
+from phdtrack.detect.scene_knowledge import scene_warnings
 from phdtrack.devices import bgr_of, planes_of, size_of
 from phdtrack.errors import InputError, interrupted, needed, shown
 from phdtrack.files import return_memory, write_text
@@ -258,7 +259,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     # The note comes first, then the warning if there is one.
     boxes = np.concatenate([np.zeros((0, 4)), *(seen.detections.xyxy for seen in done.seen)])
     confirmed = confirmation(job.stages, job.inputs.info, boxes)
-    wrong = unsuited(job.inputs.detector) or doubts(
+    wrong = scene_warnings(job.inputs.detector) or doubts(
         record, background=job.inputs.described in BACKGROUND
     )
     hidden = job.blur and _HIDDEN.format(job.blur)
