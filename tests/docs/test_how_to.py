@@ -158,7 +158,7 @@ REAL = ("supervision", "norfair")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", NAMES)
-def test_what_the_page_says_runs(
+def test_commands_and_programs_of_a_page_run(
     page: str,
     scene: Path,
     written: dict[Path, str],
@@ -221,16 +221,15 @@ def test_programs_of_the_front_pages_run(page: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("page", "most"), [("README.md", 110), ("docs/architecture.md", 150), ("docs/security.md", 80)]
+    "page", ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/security.md"]
 )
-def test_the_front_pages_stay_short_and_their_links_lead_somewhere(page: str, most: int) -> None:
+def test_links_of_the_front_pages_exist(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= most
     for link in re.findall(r"\]\(([^):#]+)\)", text):
         assert ((ROOT / page).parent / link).exists(), link
 
 
-def test_the_architecture_names_every_package() -> None:
+def test_architecture_lists_every_package() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     packages = {path.parent.name for path in (ROOT / "src" / "phdtrack").glob("*/__init__.py")}
     assert {name for name in packages if f"| `{name}` |" not in text} == set()

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 
 
-def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
+def test_navigation_lists_every_page():
     listed = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
     named = set(re.findall(r"^ *- (?:[^:\n]+: )?(\S+\.md)$", listed, re.MULTILINE))
     there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
@@ -20,7 +20,7 @@ def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
     assert named == there - results | {"index.md", "results/*.md"}
 
 
-def test_every_equation_of_the_methods_is_one_that_a_function_implements():
+def test_methods_show_implemented_equations():
     """Tags are written as in docstrings; `docs/equations.md` lists those."""
     listed = {
         (paper, place.strip())
@@ -35,7 +35,7 @@ def test_every_equation_of_the_methods_is_one_that_a_function_implements():
     assert [tag for tag in shown if (tag[0], " ".join(tag[1].split()) or "–") not in listed] == []
 
 
-def test_the_table_of_filters_has_the_figures_of_the_results():
+def test_table_of_filters_has_the_figures_of_the_results():
     found = re.findall(
         r"\| (frcnn|public) \| ([a-z-]+) \|([^\n]*)\|\n",
         (DOCS / "results" / "peers.md").read_text(),
@@ -64,7 +64,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_site_builds_and_needs_nothing_from_the_network(site: Path):
+def test_site_builds_without_a_network(site: Path):
     for page in ("index.html", "filters.html", "how-to/index.html", "results/videos.html"):
         assert (site / page).exists(), page
     text = (site / "api" / "tracker.html").read_text(encoding="utf-8")
@@ -80,7 +80,7 @@ def test_the_site_builds_and_needs_nothing_from_the_network(site: Path):
 
 @pytest.mark.slow
 @needs_browser
-def test_the_pages_are_searched_as_files(browser, site: Path):
+def test_search_works_in_files(browser, site: Path):
     page = browser.new_page()
     page.goto((site / "how-to" / "live.html").as_uri())
     page.locator(".md-search__input").click()
