@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack import pipeline
-from phdtrack.detect.convert import LeftOut, Limits
+from phdtrack.detect.convert import MAX_CLASSES, LeftOut, Limits
 from phdtrack.errors import InputError
 from phdtrack.kernels.grid import uncrowded
 from phdtrack.pipeline import TrackingState
@@ -165,9 +165,9 @@ class ClassSettings:
         label = self.of(found)
         best = dict.fromkeys(label[np.argsort(-found.confidence, kind="stable")].tolist())
         known = [*seen, *(kind for kind in best if kind not in seen)]
-        if len(known) <= self.limits.max_classes:
+        if len(known) <= MAX_CLASSES:
             return np.ones(len(found), np.bool_)
-        return np.isin(label, known[: self.limits.max_classes])
+        return np.isin(label, known[:MAX_CLASSES])
 
     def _uncrowded(self, found: Detections) -> Bool:
         """(N,) whether each detection is one of the best in its place, of those of its class."""

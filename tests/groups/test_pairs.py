@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 from phdtrack.groups.pairs import (
+    ARRIVAL_TIME,
     FREEDOM,
     JOINING,
     NEIGHBOURHOOD,
+    PARTING_TIME,
+    SPEED_DIFFERENCE,
     WIDE,
     WIDE_SHARE,
     Pairs,
@@ -99,7 +102,7 @@ def row_odds(w: Walkers, strangers: float) -> float:
         for share, s in ((1 - WIDE_SHARE, PAIRS.distance), (WIDE_SHARE, WIDE))
     )
     density = (1 + strangers) / (math.pi * NEIGHBOURHOOD**2)
-    step = PAIRS.speed_difference**2 + v
+    step = SPEED_DIFFERENCE**2 + v
     own = step + float((w.mean[2:] ** 2).sum())
     return near / density * student(du**2 + dv**2, step) / student(du**2 + dv**2, own)
 
@@ -118,14 +121,14 @@ def test_odds_are_those_of_a_two_state_chain() -> None:
     steps = np.diff(times)
     odds = np.array([row_odds(w, 0.0) for w in walk])
     odds[1:] **= np.minimum(steps / PAIRS.memory, 1)
-    prior = PAIRS.prior_odds * math.exp(-1.0 / PAIRS.arrival_time)
+    prior = PAIRS.prior_odds * math.exp(-1.0 / ARRIVAL_TIME)
 
     def chance(states: tuple[int, ...], rows: int) -> float:
         value = prior if states[0] else 1.0
         for k in range(rows):
             value *= odds[k] if states[k] else 1.0
             if k:
-                parted = 1 - math.exp(-steps[k - 1] / PAIRS.parting_time)
+                parted = 1 - math.exp(-steps[k - 1] / PARTING_TIME)
                 change = parted if states[k - 1] else JOINING * parted
                 value *= change if states[k] != states[k - 1] else 1 - change
         return value
@@ -144,7 +147,7 @@ def test_odds_are_those_of_a_two_state_chain() -> None:
         if frame.time >= 0 and len(frame.identity) == 2:
             forward.append(float(state.pairs.value[0]))
     assert forward == pytest.approx([ratio(k, k + 1) for k in range(5)], abs=1e-9)
-    end = math.exp(-(3.3 - 2.5) / PAIRS.arrival_time)
+    end = math.exp(-(3.3 - 2.5) / ARRIVAL_TIME)
     whole = [ratio(k, 5, end) for k in range(5)]
     found = wide.over_time(frames)
     assert [len(set(label.tolist())) == 1 for label in found[1:-1]] == [

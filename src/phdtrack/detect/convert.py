@@ -30,6 +30,8 @@ _LARGEST_CLASS = 2.0**53
 SHORTEST = 1e-3
 LONGEST = 10.0
 UNKNOWN = 1e6
+# Classes that are tracked apart, the first.
+MAX_CLASSES = 100
 # Pixels that boxes in shares of the image's size do not exceed.
 _SMALL = 1.5
 # Boxes that are enough to tell corners from sizes; the shares of them that reach beyond the frame,
@@ -126,7 +128,7 @@ _REASONS = (
         " far outside"
     ),
     "their class was not asked for, or their size or score is below the least of their class",
-    "there are more classes than limits.max_classes",
+    f"there are more than {MAX_CLASSES} classes",
     "more are in one place than limits.max_in_one_place",
     "a frame has more than limits.max_detections",
 )
@@ -140,14 +142,12 @@ class Limits(Checked):
     Parameters
     ----------
     max_detections : detections of a frame.
-    max_classes : classes that are tracked apart, the first.
     max_in_one_place : detections that lie in each other's gates, so that each could be any other's
         target.
     frame_size : the image's width and height in pixels; (0, 0): not known.
     """
 
     max_detections: PositiveCount = 1000
-    max_classes: PositiveCount = 100
     max_in_one_place: PositiveCount = 25
     frame_size: tuple[float, float] = (0.0, 0.0)
 

@@ -33,7 +33,6 @@ from phdtrack.errors import (
     NonNegative,
     Positive,
     PositiveCount,
-    Probability,
     Share,
     check,
 )
@@ -45,6 +44,8 @@ from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Filter, Model, Sensor
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles, UpdateInfo
 
+# The share of steps that move two candidates that compete for a measurement.
+SWAP_PROBABILITY = 0.2
 # The least density of clutter: where there is none, everything else that explains a measurement
 # wins.
 LEAST_CLUTTER = 1e-100
@@ -104,7 +105,6 @@ class MCMC(Filter[JointSamples]):
     burn_in : B, sweeps before the first that is kept. A sweep has as many steps as there are
         candidates: targets of the last frame and measurements.
     thin : sweeps for each kept sample.
-    swap_probability : the share of steps that move two candidates that compete for a measurement.
     interaction_strength : how much boxes that overlap keep apart; 0: not at all, which is faster.
         Where the detector fires twice on one person it keeps the two apart.
     min_weight : targets less probable than that are dropped.
@@ -115,7 +115,6 @@ class MCMC(Filter[JointSamples]):
     samples: PositiveCount = 1000
     burn_in: Count = 50
     thin: PositiveCount = 1
-    swap_probability: Probability = 0.2
     interaction_strength: NonNegative = 4.0
     min_weight: NonNegative = 1e-3
     initial: GaussianMixture | None = None
@@ -176,7 +175,7 @@ class MCMC(Filter[JointSamples]):
             self.burn_in,
             self.thin,
             self.samples,
-            float(self.swap_probability),
+            SWAP_PROBABILITY,
             float(self.interaction_strength),
         )
         options, states, chance = jump_chain(z.shape[1], can, pairs, chain, rng)

@@ -90,6 +90,9 @@ from phdtrack.models.gaussian import SAME, Transform, expected, measurements, mo
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
+# Frames after which what a score has said of lasting clutter counts for 37 %.
+SCORE_MEMORY = 15.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bernoullis:
@@ -153,7 +156,6 @@ class PMB(Checked, Filter[Bernoullis]):
     static_clutter_detection_probability : probability that static clutter is detected in a frame.
     lasting_clutter_prior : probability that a target is a false alarm that lasts, before its scores
         are known; 0, and where scores say nothing: none is.
-    score_memory : frames after which what a score has said of that counts for 37 %.
     history : frames for which the hypotheses of the past are kept: so far back the past is revised.
     noise_freedom : degrees of freedom with which the noises of a new target are known, see above;
         0: they are the model's.
@@ -178,7 +180,6 @@ class PMB(Checked, Filter[Bernoullis]):
     static_clutter_prior: Probability = 0.05
     static_clutter_detection_probability: Probability = 0.5
     lasting_clutter_prior: Probability = 0.0
-    score_memory: Positive = 15.0
     history: PositiveCount = 10
     noise_freedom: NonNegative = 0.0
     noise_memory: Positive = 4.5
@@ -244,7 +245,7 @@ class PMB(Checked, Filter[Bernoullis]):
         now = Layer(now.targets, now.hypotheses, mean, covariance)
         noise = model.sensor.noise(np.ascontiguousarray(mean.T))
         freedom = self.noise_freedom, math.exp(-1 / self.noise_memory)
-        genuine = self._prior, math.exp(-1 / self.score_memory)
+        genuine = self._prior, math.exp(-1 / SCORE_MEMORY)
         layer = predicted_layer(
             now, after, noise, *self._changes(dt / model.rate), freedom, genuine
         )

@@ -18,10 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.errors import Checked, NonNegative, Positive, PositiveCount
+from phdtrack.errors import Checked, NonNegative, Positive
 from phdtrack.kernels.association import components
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, I8, Bool, GaussianMixture
+
+# T_v, metres per second: people of a group are slower apart [E13 §5].
+MAX_SPEED_DIFFERENCE = 1.0
+# Points of the contours' grid along each side at most: a group that is wider than it is sharp gets
+# a coarser grid.
+MAX_GRID = 160
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,14 +58,12 @@ class Grouping(Checked):
     Parameters
     ----------
     max_distance : T_p, metres: connected components are closer.
-    max_speed_difference : T_v, metres per second: and slower apart.
     min_weight : components of less weight do not count. No paper gives it. It must lie below
         p_M·p_S = 0.297 (E13's values), the weight of a person missed once, or one miss drops a
         person.
     """
 
     max_distance: Positive = 2.0
-    max_speed_difference: Positive = 1.0
     min_weight: NonNegative = 0.25
 
     def groups(self, mixture: GaussianMixture) -> Groups:
@@ -82,7 +86,7 @@ class Grouping(Checked):
         )
         a, b = a[a < b], b[a < b]
         apart2 = ((mean[:, a] - mean[:, b]) ** 2).reshape(2, 2, -1).sum(1)
-        joined = (apart2[0] < self.max_distance**2) & (apart2[1] < self.max_speed_difference**2)
+        joined = (apart2[0] < self.max_distance**2) & (apart2[1] < MAX_SPEED_DIFFERENCE**2)
         return a[joined], b[joined]
 
 
@@ -121,15 +125,12 @@ class Contours(Checked):
     ----------
     level : people per square metre on the curve.
     grid_density : grid points per standard deviation of the narrowest component of a group.
-    max_grid : grid points along each side at most; a group that is wider than it is sharp gets a
-        coarser grid.
     tolerance : metres by which a polygon may stray from the curve on the grid, to have fewer
         corners (Douglas and Peucker).
     """
 
     level: Positive = 0.1
     grid_density: Positive = 4.0
-    max_grid: PositiveCount = 160
     tolerance: NonNegative = 0.02
 
     def of(self, mixture: GaussianMixture, members: Bool) -> tuple[F8, ...]:
@@ -172,9 +173,7 @@ class Contours(Checked):
         axes = []
         for low, high in zip((mean - half).min(1), (mean + half).max(1), strict=True):
             points = int(
-                np.clip(
-                    math.ceil((high - low) * self.grid_density / narrowest) + 1, 8, self.max_grid
-                )
+                np.clip(math.ceil((high - low) * self.grid_density / narrowest) + 1, 8, MAX_GRID)
             )
             axes.append(np.linspace(low, high, points))
         return axes

@@ -13,12 +13,12 @@ people say less. The densities of velocities are Student's, as people stumble an
 places has a wide part, for a row of companions abreast. Rows that follow each other say nearly the
 same: one counts for its interval over ``memory``.
 
-Before the first row the odds are ``prior_odds``, less by e for each ``arrival_time`` by which one
+Before the first row the odds are ``prior_odds``, less by e for each `ARRIVAL_TIME` by which one
 had been there before the other; after the last the same holds for leaving. In between companions
 part, and strangers join, seldom: a Markov chain of two states. Forward it gives the odds by what
 was seen up to a row (`Pairs.extend`); with what followed, the odds given all (`Pairs.over_time`).
 Groups are the clusters with the largest sum of log-odds within them, in which one pair counts at
-most ``max_log_odds`` for, and ``apart_cost`` against, being together: companions at the two ends of
+most ``max_log_odds`` for, and `APART_COST` against, being together: companions at the two ends of
 a row are far apart, but a chain of strangers needs stronger links the longer it is.
 """
 
@@ -34,6 +34,16 @@ from phdtrack.errors import Checked, Positive
 from phdtrack.kernels.clustering import clusters
 from phdtrack.types import F8, I8
 
+# s, metres per second: deviation of the relative velocity of companions on each axis.
+SPEED_DIFFERENCE = 0.7
+# Seconds by which companions come, or leave, one after the other; seconds for which they stay
+# together on average.
+ARRIVAL_TIME = 7.0
+PARTING_TIME = 1300.0
+# How much a pair that is apart counts against a group that contains both, at most.
+APART_COST = 0.004
+# Seconds after which people who are not seen are forgotten while groups are found frame by frame.
+FORGET = 60.0
 # Metres around a person in which strangers are counted; pairs that never were as near are
 # strangers.
 NEIGHBOURHOOD = 5.0
@@ -124,32 +134,20 @@ class Pairs(Checked):
     ----------
     prior_odds : that two who are first seen at the same time are together, places not considered.
     distance : σ, metres: deviation of a companion's place on each axis.
-    speed_difference : s, metres per second: deviation of the relative velocity of companions on
-        each axis.
     memory : seconds after which what is seen of two people counts as new.
-    arrival_time : seconds by which companions come, or leave, one after the other.
-    parting_time : seconds for which companions stay together on average.
     max_log_odds : of a pair at most, for or against.
-    apart_cost : how much a pair that is apart counts against a group in which both are, at most.
-    forget : seconds after which people who are not seen are forgotten while groups are found frame
-        by frame.
     """
 
     prior_odds: Positive = 5.0
     distance: Positive = 0.57
-    speed_difference: Positive = 0.7
     memory: Positive = 1.25
-    arrival_time: Positive = 7.0
-    parting_time: Positive = 1300.0
     max_log_odds: Positive = 10.0
-    apart_cost: Positive = 0.004
-    forget: Positive = 60.0
 
     def extend(self, state: PairState, walkers: Walkers) -> tuple[PairState, I8]:
         """The state with a frame, and the group (n,) of each of its people, from 0, by what was
         seen so far.
         """
-        state, rows, forward = self._forward(state, walkers, since=walkers.time - self.forget)
+        state, rows, forward = self._forward(state, walkers, since=walkers.time - FORGET)
         return state, self._groups(len(walkers.identity), rows, forward)
 
     def over_time(self, frames: Sequence[Walkers]) -> list[I8]:
@@ -183,7 +181,7 @@ class Pairs(Checked):
             ends, _ = last.at(walkers.identity)
             value, time = after.at(rows.key)
             met = np.isnan(value)
-            leaving = -np.abs(ends[rows.a] - ends[rows.b]) / self.arrival_time
+            leaving = -np.abs(ends[rows.a] - ends[rows.b]) / ARRIVAL_TIME
             before = self._before(
                 np.where(met, 0.0, value), np.where(met, 0.0, time - walkers.time)
             )
@@ -217,7 +215,7 @@ class Pairs(Checked):
         # The first row is all new; the others are as new as they are late.
         weight = np.where(new, 1.0, np.minimum(interval / self.memory, 1.0))
         evidence = weight * self._evidence(walkers, a, b, density)
-        prior = np.log(self.prior_odds) - np.abs(first[a] - first[b]) / self.arrival_time
+        prior = np.log(self.prior_odds) - np.abs(first[a] - first[b]) / ARRIVAL_TIME
         odds = np.where(new, prior, self._later(np.where(new, 0.0, before), interval)) + evidence
         forward: F8 = np.clip(odds, -self.max_log_odds, self.max_log_odds)
         people = state.people.having(*_sorted(who, first), time, since)
@@ -237,7 +235,7 @@ class Pairs(Checked):
             share * np.exp(-0.5 * place2 / (width**2 + at)) / (2 * np.pi * (width**2 + at))
             for share, width in ((1 - WIDE_SHARE, self.distance), (WIDE_SHARE, WIDE))
         )
-        step = self.speed_difference**2 + of
+        step = SPEED_DIFFERENCE**2 + of
         own = step + (walkers.mean[2:, a] ** 2 + walkers.mean[2:, b] ** 2).sum(axis=0)
         power = (FREEDOM + 2) / 2
         keeps = power * (
@@ -249,7 +247,7 @@ class Pairs(Checked):
         """(P,) probabilities that companions have parted after so many seconds, and that strangers
         have joined.
         """
-        parted = -np.expm1(-interval / self.parting_time)
+        parted = -np.expm1(-interval / PARTING_TIME)
         return parted, JOINING * parted
 
     def _later(self, odds: F8, interval: F8) -> F8:
@@ -268,10 +266,8 @@ class Pairs(Checked):
 
     def _groups(self, count: int, rows: PairRows, odds: F8) -> I8:
         """(n,) the groups of a frame."""
-        gain = np.full((count, count), -self.apart_cost)
-        gain[rows.a, rows.b] = gain[rows.b, rows.a] = np.clip(
-            odds, -self.apart_cost, self.max_log_odds
-        )
+        gain = np.full((count, count), -APART_COST)
+        gain[rows.a, rows.b] = gain[rows.b, rows.a] = np.clip(odds, -APART_COST, self.max_log_odds)
         return np.asarray(clusters(gain))
 
 

@@ -29,13 +29,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.errors import Checked, NonNegative, Positive
+from phdtrack.errors import Checked
 from phdtrack.kernels.common_motion import LEAST, differences, found
 from phdtrack.models import warp as warp_of
 from phdtrack.models.gaussian import moved
 from phdtrack.protocols import CameraEstimator, Model
 from phdtrack.types import F8, STILL, Detections, Estimates
 
+# Seconds after which the camera's velocity counts for 37 %: it is in the targets' own by then.
+VELOCITY_MEMORY = 1.5
+# Frames after which what was learned of the camera counts for 37 %.
+MEMORY = 150.0
+# Common motions below this share of a box are errors of the detector.
+LEAST_SHARE = 0.02
+# Log-odds against a sudden motion in a frame.
+JUMP_PENALTY = 7.0
+# Log-evidence by which a given motion must be worse than none to be ignored, and better to be used
+# again.
+SWITCH_EVIDENCE = 10.0
 # Pairs that the beginning counts for in what is learned of boxes, and of how many it is remembered.
 _PAIRS = 40.0
 _PAIRS_KEPT = 500.0
@@ -102,21 +113,9 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
 
     Parameters
     ----------
-    velocity_memory : seconds after which a camera's velocity counts for 37 %: it is then in the
-        targets' own.
-    memory : frames after which what was learned of the camera counts for 37 %.
-    least_share : common motions below this share of a box are taken for errors of the detector.
-    jump_penalty : log-odds against a sudden motion in a frame.
-    switch_evidence : log-evidence by which a given motion must be worse than none to be left alone,
-        and better to return.
     frame_size : of the images, pixels.
     """
 
-    velocity_memory: Positive = 1.5
-    memory: Positive = 150.0
-    least_share: NonNegative = 0.02
-    jump_penalty: NonNegative = 7.0
-    switch_evidence: NonNegative = 10.0
     frame_size: tuple[float, float] = (1.0, 1.0)
 
     def start(self) -> CameraState:
@@ -127,7 +126,7 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         self, state: CameraState, detections: Detections, model: Model, dt: float, given: F8
     ) -> tuple[CameraState, F8]:
         """The camera's motion since the last frame, and the state with what was learned from it."""
-        fading = math.exp(-dt / (model.rate * self.velocity_memory))
+        fading = math.exp(-dt / (model.rate * VELOCITY_MEMORY))
         bases = [self._warp(self._of_note(fading * dt * state.velocity))]
         if len(given):
             bases.append(_after(self._warp(self._of_note(-fading * dt * state.left)), given))
@@ -150,7 +149,7 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         if len(alternatives) == 2:
             more = min(max(alternatives[1].evidence - alternatives[0].evidence, -_MOST), _MOST)
             evidence = math.exp(-1 / _EVIDENCE_FRAMES) * evidence + more
-            followed = evidence > (-self.switch_evidence if followed else self.switch_evidence)
+            followed = evidence > (-SWITCH_EVIDENCE if followed else SWITCH_EVIDENCE)
         chosen = alternatives[-1 if followed else 0]
         kept = math.exp(-chosen.squares[1, 0] / _PAIRS_KEPT) * state.pairs
         scale = (
@@ -201,8 +200,8 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         )
         detected = np.minimum(model.sensor.p_detect(columns), 0.95)
         density = z.shape[1] / (4 * frame[0] * frame[1])
-        kept = math.exp(-1 / self.memory)
-        rule = (detected, density, frame, dt, self.jump_penalty, self.least_share, kept)
+        kept = math.exp(-1 / MEMORY)
+        rule = (detected, density, frame, dt, JUMP_PENALTY, LEAST_SHARE, kept)
         motion, *said = found(boxes, rule, which == 0, state.excess[which], state.weight[which])
         return _Found(_after(self._warp(motion), model.warp), *said)
 

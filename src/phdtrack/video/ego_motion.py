@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from phdtrack.errors import Checked, InputError, Positive, PositiveCount, Share
+from phdtrack.errors import Checked, InputError, PositiveCount
 from phdtrack.types import F8, Image
 
 # Corners weaker than this share of the best are none; they keep this share of the width apart.
@@ -30,6 +30,16 @@ _MARGIN = 0.1
 # of its width.
 _ZOOM = 1.5
 _JUMP = 0.6
+
+
+# Corners that are followed at most.
+MAX_POINTS = 300
+# Pixels of the scaled picture by which a point may miss the map, and its way back its beginning.
+MAX_ERROR = 1.0
+# Points that must fit the map, and the share of those followed; otherwise the camera is taken to
+# stand still in that frame.
+MIN_POINTS = 20
+MIN_INLIER_SHARE = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,22 +69,12 @@ class SparseFlow(Checked):
     Parameters
     ----------
     width : pictures are scaled down to this many pixels before they are looked at.
-    max_points : corners that are followed at most.
     form : ``similarity`` (shift, turn, zoom), which few points determine well; ``homography`` for a
         camera that pans with a wide lens, or a scene that is one plane.
-    max_error : pixels of the scaled picture by which a point may miss the map, and its way back its
-        beginning.
-    min_points : points that must fit the map; with fewer the camera is taken to stand still in that
-        frame.
-    min_inlier_share : share of the points followed that must fit it.
     """
 
     width: PositiveCount = 640
-    max_points: PositiveCount = 300
     form: Literal["similarity", "homography"] = "similarity"
-    max_error: Positive = 1.0
-    min_points: PositiveCount = 20
-    min_inlier_share: Share = 0.4
 
 
 class CameraMotion:
@@ -155,24 +155,24 @@ def _between(before: _View, after: _View, settings: SparseFlow) -> F8 | None:
     import cv2
 
     found, arrived = _followed(before, after, settings)
-    if len(found) < settings.min_points:
+    if len(found) < MIN_POINTS:
         return None
     if settings.form == "homography":
         matrix, inside = cv2.findHomography(
-            found, arrived, cv2.RANSAC, settings.max_error, maxIters=2000, confidence=0.999
+            found, arrived, cv2.RANSAC, MAX_ERROR, maxIters=2000, confidence=0.999
         )
     else:
         matrix, inside = cv2.estimateAffinePartial2D(
             found,
             arrived,
             method=cv2.RANSAC,
-            ransacReprojThreshold=settings.max_error,
+            ransacReprojThreshold=MAX_ERROR,
             maxIters=2000,
             confidence=0.999,
         )
     if matrix is None or not np.isfinite(matrix).all():
         return None
-    if np.count_nonzero(inside) < max(settings.min_points, settings.min_inlier_share * len(found)):
+    if np.count_nonzero(inside) < max(MIN_POINTS, MIN_INLIER_SHARE * len(found)):
         return None
     small = np.vstack([matrix, [0.0, 0.0, 1.0]])[:3]
     # Boxes count from a pixel's edge and not, as OpenCV does, from its middle.
@@ -197,9 +197,7 @@ def _followed(before: _View, after: _View, settings: SparseFlow) -> tuple[F8, F8
         ).astype(int)
         background[y0:y1, x0:x1] = 0
     apart = max(3.0, _APART * before.gray.shape[1])
-    corners = cv2.goodFeaturesToTrack(
-        before.gray, settings.max_points, _QUALITY, apart, mask=background
-    )
+    corners = cv2.goodFeaturesToTrack(before.gray, MAX_POINTS, _QUALITY, apart, mask=background)
     if corners is None:
         return none, none
     there, arrived, _ = cv2.calcOpticalFlowPyrLK(
@@ -209,7 +207,7 @@ def _followed(before: _View, after: _View, settings: SparseFlow) -> tuple[F8, F8
         after.gray, before.gray, there, None, winSize=(21, 21), maxLevel=4
     )
     good = (arrived.ravel() == 1) & (returned.ravel() == 1)
-    good &= np.linalg.norm((back - corners).reshape(-1, 2), axis=1) <= settings.max_error
+    good &= np.linalg.norm((back - corners).reshape(-1, 2), axis=1) <= MAX_ERROR
     return corners.reshape(-1, 2)[good].astype(np.float64), there.reshape(-1, 2)[good].astype(
         np.float64
     )
