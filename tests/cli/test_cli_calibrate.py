@@ -75,8 +75,8 @@ def test_a_header_may_name_the_columns_in_any_order(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "options", "words"),
     [
-        ("", [], "four points or more, came 0"),
-        ("1 2 3 4\n5 6 7 8\n9 9 1 0\n", [], "four points or more, came 3"),
+        ("", [], "four points or more, got 0"),
+        ("1 2 3 4\n5 6 7 8\n9 9 1 0\n", [], "four points or more, got 3"),
         ("1 2 3\n", [], "expected 4 or 5 columns, u, v, x, y, z; got 3 numbers a line"),
         ("1 2 3 4\n5 6 seven 8\n", [], "line 2: expected a number for the x"),
         ("1 2 3 4\n5 6 nan 8\n", [], "line 2: expected finite numbers"),

@@ -61,7 +61,7 @@ THREE_ON_A_LINE = np.array([[0.0, 1, 2, 5], [0, 1, 2, -3]])
 @pytest.mark.parametrize(
     ("pixel", "world", "words"),
     [
-        (clicked()[:, :3], WORLD[:, :3], "four points or more, came 3"),
+        (clicked()[:, :3], WORLD[:, :3], "four points or more, got 3"),
         (clicked(LINE), LINE, "one line in the image"),
         (clicked()[:, :5], LINE, "one line on the ground"),
         (clicked(THREE_ON_A_LINE), THREE_ON_A_LINE, "no three lie on a line"),

@@ -65,7 +65,9 @@ def test_side_of_the_horizon_can_be_given() -> None:
         (np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, -100]]), (50.0, 100.0), "on the horizon"),
     ],
 )
-def test_malformed_cameras_are_refused(matrix: np.ndarray, inside: tuple[float, float] | None, words: str) -> None:
+def test_malformed_cameras_are_refused(
+    matrix: np.ndarray, inside: tuple[float, float] | None, words: str
+) -> None:
     with pytest.raises(InputError, match=words):
         HomographyCamera(matrix, inside)
 

@@ -1,6 +1,4 @@
-"""MATLAB files are read by SciPy in a process of its own: whatever becomes of that, a camera or a
-sentence comes back.
-"""
+"""MATLAB files are read by SciPy in a separate process: any failure of it becomes an error."""
 
 from __future__ import annotations
 
@@ -14,7 +12,8 @@ import pytest
 from scipy.io import savemat
 
 from phdtrack.errors import InputError
-from phdtrack.ground import MatrixForm, camera_files, read_camera
+from phdtrack.ground import MatrixForm, read_camera
+from phdtrack.ground.matlab import read_matrices
 
 FORM = MatrixForm(unit="cm", vectors="column")
 
@@ -31,19 +30,14 @@ def saved(folder: Path, content: bytes | None = None) -> Path:
     return path
 
 
-def test_crash_of_the_matlab_reader_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(camera_files, "_MATLAB", "import os; os.abort()")
-    with pytest.raises(InputError, match=r"h\.mat: .*SciPy cannot read \(it crashed\)"):
-        read_camera(saved(tmp_path), FORM)
+def test_crash_of_the_matlab_reader_is_an_error() -> None:
+    with pytest.raises(InputError, match=r"SciPy cannot read \(it crashed\)"):
+        read_matrices(b"MATLAB", reader="import os; os.abort()")
 
 
-def test_hanging_matlab_reader_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_files, "_MATLAB", "import time; time.sleep(60)")
-    monkeypatch.setattr(camera_files, "_SECONDS", 0.2)
+def test_hanging_matlab_reader_is_ended() -> None:
     with pytest.raises(InputError, match="SciPy cannot read"):
-        read_camera(saved(tmp_path), FORM)
+        read_matrices(b"MATLAB", reader="import time; time.sleep(60)", time_limit=0.2)
 
 
 @pytest.mark.parametrize(

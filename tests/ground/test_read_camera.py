@@ -14,7 +14,7 @@ from camera_cases import BARREL, MATRIX, PLANE, ROTATION, TRANSLATION, hills, po
 from phdtrack.devices import Camera
 from phdtrack.errors import InputError
 from phdtrack.ground import MatrixForm, OpenCVLens, fit_homography, read_camera
-from phdtrack.ground.camera_files import calibration_text
+from phdtrack.ground.calibration import calibration_text
 
 PIXEL = np.array([[100.0, 400, 700, 380], [350, 420, 560, -500]])
 VECTOR = cv2.Rodrigues(ROTATION)[0].ravel()
@@ -96,10 +96,10 @@ def test_matlab_homography_is_read(tmp_path: Path) -> None:
     path = tmp_path / "h.mat"
     transform = {"tdata": {"T": 100 * PLANE.T @ np.diag([1, 1, 0.01]), "Tinv": np.eye(3)}}
     savemat(path, {"c2b": transform, "plain": np.eye(3), "other": np.zeros((2, 5))})
-    with pytest.raises(InputError, match="came c2b, plain") as caught:
+    with pytest.raises(InputError, match="got c2b, plain") as caught:
         read_camera(path)
     assert 'variable = "c2b"' in caught.value.cure
-    with pytest.raises(InputError, match="by the name c3b, came none"):
+    with pytest.raises(InputError, match="by the name c3b, got none"):
         read_camera(path, MatrixForm(variable="c3b"))
     with pytest.raises(InputError, match="the unit of its lengths"):
         read_camera(path, MatrixForm(variable="c2b"))
@@ -159,9 +159,7 @@ def test_toml_camera_with_terrain(tmp_path: Path) -> None:
     np.testing.assert_array_equal(camera.surface.heights, ground.heights)
 
 
-def test_calibration_file_is_read_back_exactly(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_calibration_file_is_read_back_exactly(tmp_path: Path, rng: np.random.Generator) -> None:
     world = np.array([[0.0, 12, 10, -8, 3], [-8, -3, 10, 12, 2]])
     fitted = fit_homography(
         posed(OpenCVLens(MATRIX)).pixels(world) + rng.normal(0, 1, world.shape), world
@@ -196,20 +194,20 @@ HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
             "document type",
         ),
         ("homografy = 3\n", "", "no setting homografy. Did you mean homography"),
-        ("homography = [[1, 2], [3, 4]]\n", ", homography", "3 x 3 numbers, came 2 x 2"),
+        ("homography = [[1, 2], [3, 4]]\n", ", homography", "3 x 3 numbers, got 2 x 2"),
         (HOMOGRAPHY + 'maps = "sideways"\n', "", "maps = pixel-to-ground or ground-to-pixel"),
-        (HOMOGRAPHY + "inside = [3]\n", ", inside", "2 numbers, came 1"),
+        (HOMOGRAPHY + "inside = [3]\n", ", inside", "2 numbers, got 1"),
         (HOMOGRAPHY + 'terrain = "x.asc"\n', "", "flat ground only"),
-        (HOMOGRAPHY + 'file = "x.txt"\n', "", "came file and homography"),
+        (HOMOGRAPHY + 'file = "x.txt"\n', "", "got file and homography"),
         (
             'homography = [[1, 2, 3], [2, 4, 6], [7, 8, 9]]\nmaps = "ground-to-pixel"\n',
             "",
             "can be inverted",
         ),
         ('file = "gone.xml"\n', "", "there is no such file"),
-        ('file = "camera.toml"\n', "", "yet another file"),
+        ('file = "camera.toml"\n', "", "names another file"),
         ("file = 3\n", ", file", "name of a file"),
-        ("", "", "one of file, homography and camera_matrix, came none"),
+        ("", "", "one of file, homography and camera_matrix, got none"),
         ("homography = 3 4\n", ", line 1", "as TOML it breaks here"),
         (DESCRIBED.replace("distortion_coefficients", "dist_coeff"), "", "no setting dist_coeff"),
         (DESCRIBED.replace('"mm"', '"inch"'), "", "unit = m or cm or mm"),
@@ -223,17 +221,17 @@ HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
             "",
             "distortion_coefficients = \\[\\]",
         ),
-        ("1 2 3\n4 5 6\n", "", "three lines of three numbers of a homography, came 2"),
-        ("1 2 3\n4 5 6\n7 8 x\n", ", line 3", "3 numbers, came '7 8 x'"),
+        ("1 2 3\n4 5 6\n", "", "three lines of three numbers of a homography, got 2"),
+        ("1 2 3\n4 5 6\n7 8 x\n", ", line 3", "3 numbers, got '7 8 x'"),
         (
             "1 2 3\n4 5 6\n7 8 9\n1 2 3\n",
             "",
-            "three lines of three numbers of a homography, came 4",
+            "three lines of three numbers of a homography, got 4",
         ),
         ("1 2 3\n2 4 6\n7 8 9\n", "", "can be inverted"),
         ('{"camera_matrix": \n [}', ", line 2", "JSON, which breaks here"),
         ("%YAML:1.0\n---\ncamera_matrix: [1,\n  }", "", "cv2.FileStorage"),
-        ("%YAML:1.0\n---\na: 1\n", "", "came none of them"),
+        ("%YAML:1.0\n---\na: 1\n", "", "got none of them"),
     ],
 )
 def test_malformed_cameras_are_refused(tmp_path: Path, text: str, where: str, words: str) -> None:
@@ -247,5 +245,5 @@ def test_malformed_cameras_are_refused(tmp_path: Path, text: str, where: str, wo
 
 def test_files_that_are_not_cameras_are_refused(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"\xff\xfe\x00\x81 no text")
-    with pytest.raises(InputError, match="no UTF-8 text"):
+    with pytest.raises(InputError, match="not UTF-8 text"):
         read_camera(tmp_path / "x")

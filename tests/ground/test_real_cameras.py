@@ -44,7 +44,7 @@ def test_caviar_transforms_give_metres(data: Path) -> None:
     walk.
     """
     path = data / "caviar" / "caviar_homography.mat"
-    with pytest.raises(InputError, match="came c2b, f2b"):
+    with pytest.raises(InputError, match="got c2b, f2b"):
         read_camera(path)
     camera = read_camera(path, MatrixForm(variable="c2b", unit="cm"))
     truth = read_truth(data / "caviar" / "cols1gt.xml")

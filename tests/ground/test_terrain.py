@@ -123,14 +123,14 @@ def test_terrain_files_are_read(tmp_path: Path) -> None:
     ("text", "where", "words"),
     [
         ("hello world\n", "", "ASCII grid that states ncols"),
-        (GRID + "1 2\n", "", "2 rows of heights, came 1"),
-        (GRID + "1 2\n1 x\n", ", line 7", "2 numbers, came '1 x'"),
-        (GRID + "1 2 3\n1 2\n", ", line 6", "2 numbers, came 3"),
+        (GRID + "1 2\n", "", "2 rows of heights, got 1"),
+        (GRID + "1 2\n1 x\n", ", line 7", "2 numbers, got '1 x'"),
+        (GRID + "1 2 3\n1 2\n", ", line 6", "2 numbers, got 3"),
         (GRID.replace("size 1", "size 0") + "1 2\n3 4\n", "", "steps"),
         (GRID.replace("ncols 2", "ncols 1") + "1\n3\n", "", "2 x 2 heights or more"),
         (GRID + "1 2\n3 1e308\n", "", "within 1e.07 m"),
-        (GRID.replace("ncols 2", "ncols inf"), "", "whole number for ncols, came inf"),
-        ("ncols two\n", ", line 1", "1 numbers, came 'two'"),
+        (GRID.replace("ncols 2", "ncols inf"), "", "whole number for ncols, got inf"),
+        ("ncols two\n", ", line 1", "1 numbers, got 'two'"),
     ],
 )
 def test_bad_terrain_grids_are_refused(tmp_path: Path, text: str, where: str, words: str) -> None:

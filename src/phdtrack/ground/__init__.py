@@ -1,17 +1,13 @@
-"""Between pixels and the ground: Tsai, OpenCV and homography cameras, terrain, covariances,
+"""Cameras between pixels and the ground: Tsai, OpenCV and homography cameras, terrain, covariances,
 calibration from points.
 """
 
-from phdtrack.ground.camera_files import Calibration, MatrixForm, fit_homography, read_camera
-from phdtrack.ground.cameras import (
-    CountedFrom,
-    HomographyCamera,
-    OpenCVLens,
-    PosedCamera,
-    TsaiLens,
-    footprint,
-    ground_covariance,
-)
+from phdtrack.ground.calibration import Calibration, fit_homography
+from phdtrack.ground.camera_files import MatrixForm, read_camera
+from phdtrack.ground.cameras import CountedFrom, PosedCamera, ground_covariance
+from phdtrack.ground.footprint import footprint
+from phdtrack.ground.homography import HomographyCamera
+from phdtrack.ground.lenses import OpenCVLens, TsaiLens
 from phdtrack.ground.terrain import Flat, Surface, Terrain, read_terrain
 
 __all__ = [

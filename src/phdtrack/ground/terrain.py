@@ -1,13 +1,13 @@
 """The ground: flat, or an elevation map z(x, y) on a regular grid, bilinear between its points [E13
 §3.3].
 
-Where a ray p + s d meets terrain, s is the least root of h(s) = p_z + s d_z − z(x(s), y(s)).
-Gauss–Newton steps from the flat solution, as E13 takes them, may end behind a hill that is in the
-way. So the line of sight is sampled in half steps of the grid, and the first place where it goes
-below the ground is halved down to it.
+A ray p + s d meets terrain at the least root s of h(s) = p_z + s d_z − z(x(s), y(s)). The
+Gauss–Newton steps of E13 from the flat solution may end behind a hill that is in the way. So the
+line of sight is sampled in half steps of the grid, and the first interval in which it goes below
+the ground is bisected.
 
-Elevation maps in files are ASCII grids, as geographic programs write them: lines of a name and a
-number (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize, and maybe
+Elevation maps are read from ASCII grids of geographic programs: lines of a name and a number
+(ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize, and optionally
 NODATA_value), followed by the heights, the northernmost row first. All lengths are in metres, in
 the camera's world.
 """
@@ -25,11 +25,11 @@ from phdtrack.files import AnyPath, load
 from phdtrack.types import F8
 
 _HALVINGS = 60
-# What is higher or lower, in metres, is no place on the Earth, nor far from its centre.
-_HIGHEST = 1e7
-# Samples of lines of sight in one go: 8 MiB a table.
+# No height on the Earth is larger, metres.
+_MAX_HEIGHT = 1e7
+# Samples of lines of sight that are evaluated at once: 8 MiB per array.
 _BLOCK = 1 << 20
-# A ray this flat, relative to its length, is the horizon for all that float64 can say.
+# A ray this flat, relative to its length, is the horizon within the precision of float64.
 _LEVEL = 1e-12
 _HEAD = (
     "ncols",
@@ -58,9 +58,7 @@ class Flat:
         return np.repeat([[0.0], [0.0], [1.0]], np.shape(xy)[1], axis=1)
 
     def meet(self, origin: F8, direction: F8) -> F8:
-        """(N,) the s > 0 at which the ray comes to the level; NaN at the horizon and beyond [E13
-        (7)].
-        """
+        """(N,) the s > 0 at which the ray reaches the level; NaN on and above the horizon [E13 (7)]."""
         fall = self.level - origin[2]
         length = np.linalg.norm(direction, axis=0)
         meets = (direction[2] * fall > 0) & (np.abs(direction[2]) > _LEVEL * length)
@@ -69,14 +67,14 @@ class Flat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terrain:
-    """An elevation map; outside of it, and beside unknown heights, nothing is known and nothing is
-    seen.
+    """An elevation map; outside of it and beside unknown heights the ground is unknown, and no
+    pixel shows it.
 
     Attributes
     ----------
     origin : (2,) x and y of the first grid point, metres.
     step : (2,) spacing of the grid along x and y, metres, above 0.
-    heights : (ny, nx) elevation in metres, row by row in growing y, at least 2 x 2; NaN where
+    heights : (ny, nx) elevation in metres, row by row in increasing y, at least 2 x 2; NaN for
         unknown.
     """
 
@@ -89,28 +87,20 @@ class Terrain:
         origin = np.asarray(self.origin)
         step = np.asarray(self.step)
         heights = np.asarray(self.heights)
-        if (
-            heights.ndim != 2
-            or min(heights.shape) < 2
-            or (np.abs(heights) > _HIGHEST).any()
-            or np.isnan(heights).all()
-        ):
-            raise InputError(
-                f"expected 2 x 2 heights or more, within {_HIGHEST:g} m or NaN, not all NaN, came"
-                f" shape {heights.shape}",
-                where="terrain",
+        is_grid = heights.ndim == 2 and min(heights.shape) >= 2
+        if not is_grid or (np.abs(heights) > _MAX_HEIGHT).any() or np.isnan(heights).all():
+            problem = (
+                f"expected 2 x 2 heights or more, within {_MAX_HEIGHT:g} m or NaN, not all NaN, got"
+                f" shape {heights.shape}"
             )
-        if (
-            origin.shape != (2,)
-            or step.shape != (2,)
-            or not np.isfinite([origin, step]).all()
-            or not (step > 0).all()
-        ):
-            raise InputError(
+            raise InputError(problem, where="terrain")
+        shapes_fit = origin.shape == step.shape == (2,)
+        if not (shapes_fit and np.isfinite([origin, step]).all() and (step > 0).all()):
+            problem = (
                 "expected a finite origin (x, y) and finite steps (along x, along y) above 0, in"
-                " metres",
-                where="terrain",
+                " metres"
             )
+            raise InputError(problem, where="terrain")
         levels = float(np.nanmin(heights)), float(np.nanmean(heights)), float(np.nanmax(heights))
         object.__setattr__(self, "_levels", levels)
 
@@ -143,14 +133,14 @@ class Terrain:
             low = np.where(above, middle, low)
             high = np.where(above, high, middle)
         s = (low + high) / 2
-        # Beside unknown heights the halving may end at their edge.
+        # Beside unknown heights the bisection may end at their edge.
         on_ground = np.abs(self._above(origin, direction, s)) <= 1e-9 * (
             1 + np.abs(origin[2] + s * direction[2])
         )
         return np.where(on_ground, s, np.nan)
 
     def _patch(self, x: F8, y: F8) -> tuple[F8, F8, F8]:
-        """Elevation and slopes along x and y of the patch at the points; outside, those of the
+        """Elevation and slopes along x and y at the points; outside of the map, those of the
         nearest edge.
         """
         ny, nx = self.heights.shape
@@ -172,23 +162,20 @@ class Terrain:
         )
 
     def _above(self, origin: F8, direction: F8, s: F8) -> F8:
-        """Height of the points origin + s·direction over the ground, counted from the camera's side
+        """Height of the points origin + s·direction over the ground, positive on the camera's side
         of it.
         """
         x, y, z = (origin[k] + s * direction[k] for k in range(3))
-        if origin[2] >= self._levels[1]:
-            side = 1.0
-        else:
-            side = -1.0
+        side = 1.0 if origin[2] >= self._levels[1] else -1.0
         return np.asarray(side * (z - self._patch(x, y)[0]))
 
     def _first_crossing(self, origin: F8, direction: F8) -> tuple[F8, F8]:
-        """Intervals of s (N,), (N,) in which rays first go below the ground.
+        """Intervals of s, from (N,) to (N,), in which rays first go below the ground.
 
-        NaN for those that never do, and for those that come onto the map below its ground.
+        NaN for rays that never do, and for those that enter the map below its ground.
         """
-        # Rays are followed from where they enter the box around the map to where they leave it. The
-        # box has a margin, or flat terrain would have no room between its lowest and highest point.
+        # Rays are sampled between their ends in the box around the map. The box has a margin, or
+        # the box of flat terrain would have no height.
         lowest, _, highest = self._levels
         margin = 1e-3 * (1 + highest - lowest)
         corners = np.array([[*self.origin, lowest - margin], [*self.end, highest + margin]])
@@ -196,7 +183,9 @@ class Terrain:
             a, b = (corners - origin)[:, :, None] / direction
         enter = np.maximum(np.fmin(a, b).max(axis=0), 0)
         leave = np.fmax(a, b).min(axis=0)
-        enter, leave = (np.where(enter < leave, s, np.nan) for s in (enter, leave))
+        crosses = enter < leave
+        enter = np.where(crosses, enter, np.nan)
+        leave = np.where(crosses, leave, np.nan)
         across = np.hypot(direction[0], direction[1]) * (leave - enter)
         count = int(np.ceil(2 * np.max(np.nan_to_num(across), initial=0.0) / self.step.min())) + 2
         low = np.full(len(enter), np.nan)
@@ -208,11 +197,11 @@ class Terrain:
             s = enter[rows, None] + share * (leave - enter)[rows, None]
             above = self._above(origin, direction[:, rows, None], s)
             falls = (above[:, :-1] > 0) & (above[:, 1:] <= 0)
-            each = np.arange(len(falls))
-            at = np.argmax(falls, axis=1)
-            seen = falls[each, at] & ~(above[:, 0] < 0)
-            low[rows] = np.where(seen, s[each, at], np.nan)
-            high[rows] = np.where(seen, s[each, at + 1], np.nan)
+            ray = np.arange(len(falls))
+            interval = np.argmax(falls, axis=1)
+            meets = falls[ray, interval] & ~(above[:, 0] < 0)
+            low[rows] = np.where(meets, s[ray, interval], np.nan)
+            high[rows] = np.where(meets, s[ray, interval + 1], np.nan)
         return low, high
 
 
@@ -220,24 +209,24 @@ Surface = Flat | Terrain
 
 
 class Line(NamedTuple):
-    """The words of a line of text, and where it stands."""
+    """The words of a line of text, and its place in the file."""
 
     where: str
     words: list[str]
 
     def numbers(self, count: int) -> list[float]:
-        """The ``count`` numbers of the line; `InputError` where they are not."""
+        """The ``count`` numbers of the line. Raises `InputError` if it has others."""
         if len(self.words) != count:
-            raise InputError(f"expected {count} numbers, came {len(self.words)}", where=self.where)
+            raise InputError(f"expected {count} numbers, got {len(self.words)}", where=self.where)
         try:
             return [float(word) for word in self.words]
         except ValueError:
-            came = " ".join(self.words)[:60]
-            raise InputError(f"expected {count} numbers, came '{came}'", where=self.where) from None
+            got = " ".join(self.words)[:60]
+            raise InputError(f"expected {count} numbers, got '{got}'", where=self.where) from None
 
 
 def read_terrain(path: AnyPath) -> Terrain:
-    """The elevation map of an ASCII grid. Raises `InputError` where it is missing, or none."""
+    """Read the elevation map in an ASCII grid. Raises `InputError` if it is missing or malformed."""
     path = Path(path)
     origin, step, heights = _grid(path, load(path))
     try:
@@ -264,26 +253,20 @@ def _grid(path: Path, content: bytes) -> tuple[F8, F8, F8]:
         ("yllcorner", "yllcenter"),
     ):
         if not any(name in head for name in names):
-            raise InputError(
-                f"expected an ASCII grid that states {' or '.join(names)}, came none", where=path
-            )
-        if names[0] in ("ncols", "nrows") and not (
-            head[names[0]] >= 0 and head[names[0]].is_integer()
-        ):
-            raise InputError(
-                f"expected a whole number for {names[0]}, came {head[names[0]]:g}", where=path
-            )
+            problem = f"expected an ASCII grid that states {' or '.join(names)}, got none"
+            raise InputError(problem, where=path)
+    for name in ("ncols", "nrows"):
+        if not (head[name] >= 0 and head[name].is_integer()):
+            problem = f"expected a whole number for {name}, got {head[name]:g}"
+            raise InputError(problem, where=path)
     columns = int(head["ncols"])
     rows = int(head["nrows"])
     cell = head["cellsize"]
     table = [line.numbers(columns) for line in lines]
     if len(table) != rows:
-        raise InputError(
-            f"expected {rows} rows of heights, came {len(table)}",
-            where=path,
-            cure="Is the file complete?",
-        )
+        problem = f"expected {rows} rows of heights, got {len(table)}"
+        raise InputError(problem, where=path, cure="Is the file complete?")
     heights = np.array(table).reshape(rows, columns)[::-1]
-    known = np.where(heights == head.get("nodata_value", np.nan), np.nan, heights)
+    heights = np.where(heights == head.get("nodata_value", np.nan), np.nan, heights)
     origin = [head.get(f"{a}llcenter", head.get(f"{a}llcorner", 0.0) + cell / 2) for a in "xy"]
-    return np.array(origin), np.array([cell, cell]), known
+    return np.array(origin), np.array([cell, cell]), heights
