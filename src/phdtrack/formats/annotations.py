@@ -52,11 +52,11 @@ def read_annotated(path: Path) -> AnnotationFile:
     for box in file.boxes:
         left, top, right, bottom = box["xyxy"]
         if not (abs(left + top + right + bottom) < math.inf and right > left and bottom > top):
-            problem = (
+            raise InputError(
                 "expected a box with a width and a height above 0, got left, top, right, bottom"
-                f" {box['xyxy']}"
+                f" {box['xyxy']}",
+                where=f"{path}, frame {box['frame']}",
             )
-            raise InputError(problem, where=f"{path}, frame {box['frame']}")
     return file
 
 

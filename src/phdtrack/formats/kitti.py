@@ -63,11 +63,11 @@ def kitti_of_type(text: Text, kind: str) -> Text:
         if _type(cells) not in ("", *selected):
             continue
         if len(cells) != text.width or not (is_number(cells[3]) and is_number(cells[4])):
-            problem = (
+            raise InputError(
                 f"expected {text.width} columns, the fourth and fifth of them numbers (truncated,"
-                f" occluded), got {cells[:5]}"
+                f" occluded), got {cells[:5]}",
+                where=text.origin.at(row),
             )
-            raise InputError(problem, where=text.origin.at(row))
         hidden = float(cells[3]) > 0 or float(cells[4]) > _MAX_OCCLUSION
         distractor = str(int(_type(cells) != kind or hidden))
         region = str(int(_type(cells) == _REGION))
@@ -86,12 +86,9 @@ def _only_type(text: Text) -> str:
     types = {"".join(text.cells(row)[2:3]) for row in range(len(text))} - {"", "DontCare"}
     names = sorted(types)
     if len(names) > 1:
-        problem = (
-            f"this KITTI label file has several types of objects ({', '.join(names[:9])}): name"
-            " the one to read"
-        )
         raise InputError(
-            problem,
+            f"this KITTI label file has several types of objects ({', '.join(names[:9])}): name"
+            " the one to read",
             where=text.origin.path,
             cure=f"Add --kitti {names[0]}, or in Python kitti={names[0]!r}.",
         )

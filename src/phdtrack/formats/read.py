@@ -219,11 +219,12 @@ def _table_of_rows(source: Source, text: Text, first_frame: int | None, kitti: s
         rows = kitti_of_type(text, kitti) if kitti or truth else kitti_of_all_types(text)
         return replace(table_of_text(source, rows), kitti=True)
     if kitti and truth:
-        problem = (
+        raise InputError(
             f"expected a KITTI label file of 17 columns with types such as {kitti}, got another"
-            " table"
+            " table",
+            where=source.path,
+            cure="Omit --kitti, or in Python kitti.",
         )
-        raise InputError(problem, where=source.path, cure="Omit --kitti, or in Python kitti.")
     return table_of_text(source, text)
 
 

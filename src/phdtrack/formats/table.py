@@ -183,11 +183,8 @@ def table_of_text(source: Source, text: Text) -> Table:
     malformed.
     """
     if len(text) and not text.header and text.width < 6:
-        problem = (
-            f"expected at least 6 columns (frame, id, left, top, width, height), got {text.width}"
-        )
         raise InputError(
-            problem,
+            f"expected at least 6 columns (frame, id, left, top, width, height), got {text.width}",
             where=text.origin.at(0),
             cure="Give the columns in this order, or name them in a header line.",
         )
@@ -251,12 +248,14 @@ def _kind(source: Source, text: Text) -> Kind:
         return source.kind
     cell = [*text.cells(0), "", ""][1]
     if is_number(cell) and float(cell) % 1 > 0:
-        problem = f"column 2 is the identity, a whole number (-1 if there is none), got {cell}"
-        cure = (
-            "Give frame, id, left, top, width, height, score in this order, or name the columns in"
-            " a header line."
+        raise InputError(
+            f"column 2 is the identity, a whole number (-1 if there is none), got {cell}",
+            where=text.origin.at(0),
+            cure=(
+                "Give frame, id, left, top, width, height, score in this order, or name the columns in"
+                " a header line."
+            ),
         )
-        raise InputError(problem, where=text.origin.at(0), cure=cure)
     if text.width in (12, 13) and is_number(cell) and float(cell) >= 0:
         return Kind.TRACKS
     return source.kind

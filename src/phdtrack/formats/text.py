@@ -213,11 +213,12 @@ def _decode(path: Path, content: bytes) -> str:
         except UnicodeDecodeError as error:
             bad = error.start
     line = content.count(b"\n", 0, bad) + 1
-    problem = (
+    raise InputError(
         "expected detections, truth or tracks as text, XML, JSON or Parquet, got bytes that are not"
-        " UTF-8 text"
+        " UTF-8 text",
+        where=f"{path}, line {line}",
+        cure="Is it the right file?",
     )
-    raise InputError(problem, where=f"{path}, line {line}", cure="Is it the right file?")
 
 
 def text_of_rows(path: Path, rows: Sequence[Mapping[str, str]], numbers: Sequence[int]) -> Text:

@@ -31,11 +31,11 @@ def table_of_xml(source: Source) -> Table:
     root = elements[0]
     readers = {"annotations": _cvat_row, "dataset": _cvml_row}
     if root.name not in readers:
-        problem = (
+        raise InputError(
             "expected CVML or CVAT, whose outermost element is <dataset> or <annotations>, got"
-            f" <{root.name}>"
+            f" <{root.name}>",
+            where=root.where,
         )
-        raise InputError(problem, where=root.where)
     rows = list[dict[str, str]]()
     lines = list[int]()
     for element in elements:

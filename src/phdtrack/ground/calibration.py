@@ -76,19 +76,25 @@ def calibration_text(fitted: Calibration, frame_size: tuple[int, int] | None = N
 def _check(pixel: F8, world: F8) -> None:
     """Raise `InputError` if the points cannot be those of a plane seen by a camera."""
     if pixel.ndim != 2 or len(pixel) != 2 or pixel.shape != world.shape:
-        problem = f"expected two arrays (2, N), got {pixel.shape} and {world.shape}"
-        raise InputError(problem, where="points")
+        raise InputError(
+            f"expected two arrays (2, N), got {pixel.shape} and {world.shape}", where="points"
+        )
     if not (np.isfinite(pixel).all() and np.isfinite(world).all()):
         raise InputError("expected finite numbers", where="points")
     if pixel.shape[1] < 4:
-        problem = f"expected four points or more, got {pixel.shape[1]}"
-        raise InputError(problem, where="points", cure="Click more points of the ground.")
+        raise InputError(
+            f"expected four points or more, got {pixel.shape[1]}",
+            where="points",
+            cure="Click more points of the ground.",
+        )
     for name, points in (("in the image", pixel), ("on the ground", world)):
         spread = np.linalg.svd(points - points.mean(axis=1, keepdims=True), compute_uv=False)
         if spread[1] <= _LINE * spread[0]:
-            problem = f"expected points that cover an area, got points on one line {name}"
-            cure = "Add points on both sides of the line, far from it."
-            raise InputError(problem, where="points", cure=cure)
+            raise InputError(
+                f"expected points that cover an area, got points on one line {name}",
+                where="points",
+                cure="Add points on both sides of the line, far from it.",
+            )
 
 
 def _normaliser(points: F8) -> F8:

@@ -97,8 +97,10 @@ class MatrixForm:
             allowed = get_args(kind)
             if not isinstance(value, str) or (allowed and value not in allowed):
                 choices = " or ".join(allowed[1:]) or "a name"
-                problem = f"expected {name} = {choices}, got {reprlib.repr(value)}"
-                raise InputError(problem, where="form of the homography")
+                raise InputError(
+                    f"expected {name} = {choices}, got {reprlib.repr(value)}",
+                    where="form of the homography",
+                )
 
 
 def read_camera(path: AnyPath, form: MatrixForm | None = None) -> Camera:
@@ -130,8 +132,9 @@ def _read(path: Path, form: MatrixForm, *, nested: bool = False) -> Camera:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        problem = f"{_EXPECTED}, got bytes that are not UTF-8 text"
-        raise InputError(problem, cure="Is it the right file?") from None
+        raise InputError(
+            f"{_EXPECTED}, got bytes that are not UTF-8 text", cure="Is it the right file?"
+        ) from None
     start = text.lstrip()
     if start.startswith("<"):
         elements = read_xml(path, content)
@@ -162,8 +165,9 @@ def _described(path: Path, values: Description, nested: bool) -> Camera:
         raise InputError("expected a camera, got a description that names another file")
     for key in ("file", "terrain"):
         if not isinstance(values.get(key, ""), str):
-            problem = f"expected the name of a file, got {reprlib.repr(values[key])}"
-            raise InputError(problem, where=key)
+            raise InputError(
+                f"expected the name of a file, got {reprlib.repr(values[key])}", where=key
+            )
     form = MatrixForm(
         **{field.name: values[field.name] for field in fields(MatrixForm) if field.name in values}
     )
@@ -179,8 +183,10 @@ def _described(path: Path, values: Description, nested: bool) -> Camera:
     if "terrain" not in values:
         return camera
     if not isinstance(camera, PosedCamera):
-        problem = "expected a Tsai or OpenCV camera for an elevation map, got a homography"
-        raise InputError(problem, cure="A homography describes flat ground only.")
+        raise InputError(
+            "expected a Tsai or OpenCV camera for an elevation map, got a homography",
+            cure="A homography describes flat ground only.",
+        )
     return replace(camera, surface=read_terrain(path.parent / values["terrain"]))
 
 
@@ -204,14 +210,18 @@ def _opencv_camera(values: Description) -> PosedCamera:
         ours: next((name for name in names if name in values), "") for ours, names in _NAMES.items()
     }
     if not named["distortion_coefficients"]:
-        cure = "Write distortion_coefficients = [] for a lens without distortion."
-        raise InputError("expected distortion_coefficients, got none", cure=cure)
-    if not named["tvec"] or bool(named["rvec"]) == bool(named["R"]):
-        cure = (
-            "cv2.solvePnP computes both from points; without a lens, `phdtrack calibrate` needs"
-            " only points."
+        raise InputError(
+            "expected distortion_coefficients, got none",
+            cure="Write distortion_coefficients = [] for a lens without distortion.",
         )
-        raise InputError("expected the pose of the camera, tvec and either rvec or R", cure=cure)
+    if not named["tvec"] or bool(named["rvec"]) == bool(named["R"]):
+        raise InputError(
+            "expected the pose of the camera, tvec and either rvec or R",
+            cure=(
+                "cv2.solvePnP computes both from points; without a lens, `phdtrack calibrate` needs"
+                " only points."
+            ),
+        )
     matrix = _array(values, named["camera_matrix"], (3, 3))
     distortion = _array(values, named["distortion_coefficients"])
     translation = _array(values, named["tvec"], (3,))
@@ -255,8 +265,10 @@ def _toml(path: Path, content: bytes) -> Description:
     try:
         values = parse_toml(path, content)
     except InputError as error:
-        problem = f"{_EXPECTED}; as TOML it breaks here: {error.problem.removeprefix('not TOML: ')}"
-        raise InputError(problem, where=error.where) from None
+        raise InputError(
+            f"{_EXPECTED}; as TOML it breaks here: {error.problem.removeprefix('not TOML: ')}",
+            where=error.where,
+        ) from None
     known = ["homography", "inside", *(field.name for field in fields(MatrixForm))]
     known += ["file", "terrain", *(name for group in _NAMES.values() for name in group)]
     for key in values:
@@ -287,8 +299,9 @@ def _storage(text: str) -> Description:
         where = ""
         if place and "persistence" not in reason.partition(place[0])[0][-20:]:
             where = f"line {place[1]}"
-        problem = "expected a file of cv2.FileStorage, which OpenCV cannot read"
-        raise InputError(problem, where=where) from None
+        raise InputError(
+            "expected a file of cv2.FileStorage, which OpenCV cannot read", where=where
+        ) from None
 
 
 def _text_matrix(text: str) -> F8:
@@ -300,10 +313,10 @@ def _text_matrix(text: str) -> F8:
         Line(f"line {number}", words).numbers(3) for number, words in enumerate(lines, 1) if words
     ]
     if len(rows) != 3:
-        problem = (
-            f"expected the three lines of three numbers of a homography, got {len(rows)} lines"
+        raise InputError(
+            f"expected the three lines of three numbers of a homography, got {len(rows)} lines",
+            cure="Is the file complete?",
         )
-        raise InputError(problem, cure="Is the file complete?")
     return np.array(rows)
 
 
@@ -315,26 +328,29 @@ def _matlab_matrix(path: Path, content: bytes, form: MatrixForm) -> F8:
     name = form.variable or next(iter(matrices), "NAME")
     names = ", ".join(matrices)
     if form.variable and name not in matrices:
-        problem = f"expected a 3 x 3 matrix or a transform by the name {name}, got none"
-        raise InputError(problem, cure=f"There are {names or 'none at all'}.")
+        raise InputError(
+            f"expected a 3 x 3 matrix or a transform by the name {name}, got none",
+            cure=f"There are {names or 'none at all'}.",
+        )
     if form.unit and (form.variable or len(matrices) == 1):
         return matrices[name]
     problem = "expected the unit of its lengths, which a MATLAB file does not contain"
     if not form.variable and len(matrices) != 1:
         problem = f"expected one homography, got {names or 'none'}"
-    cure = (
-        "Describe it in a file camera.toml of three lines, and use that file:"
-        f' file = "{path.name}", variable = "{name}", unit = "cm" (or "m", "mm").'
+    raise InputError(
+        problem,
+        cure="Describe it in a file camera.toml of three lines, and use that file:"
+        f' file = "{path.name}", variable = "{name}", unit = "cm" (or "m", "mm").',
     )
-    raise InputError(problem, cure=cure)
 
 
 def _tsai_camera(elements: Mapping[str, Element]) -> PosedCamera:
     """The camera of the elements of a calibration file, in millimetres and radians [E13 §3.2]."""
     for name in ("Geometry", "Intrinsic", "Extrinsic"):
         if name not in elements:
-            cure = "Is it a Tsai calibration?"
-            raise InputError(f"expected an element <{name}>, got none", cure=cure)
+            raise InputError(
+                f"expected an element <{name}>, got none", cure="Is it a Tsai calibration?"
+            )
     geometry = elements["Geometry"]
     intrinsic = elements["Intrinsic"]
     extrinsic = elements["Extrinsic"]

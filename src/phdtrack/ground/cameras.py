@@ -48,12 +48,15 @@ class PosedCamera:
         where = "pose of the camera"
         shapes_fit = r.shape == (3, 3) and t.shape == (3,)
         if not (shapes_fit and np.isfinite(r).all() and np.isfinite(t).all()):
-            problem = "expected a finite rotation matrix (3, 3) and translation (3,)"
-            raise InputError(problem, where=where)
+            raise InputError(
+                "expected a finite rotation matrix (3, 3) and translation (3,)", where=where
+            )
         if np.abs(r @ r.T - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0:
-            cure = "R is orthogonal with determinant 1; decompose a projection matrix K[R|T] first."
-            problem = "expected a rotation matrix, got one that stretches or mirrors"
-            raise InputError(problem, where=where, cure=cure)
+            raise InputError(
+                "expected a rotation matrix, got one that stretches or mirrors",
+                where=where,
+                cure="R is orthogonal with determinant 1; decompose K[R|T] into its parts first.",
+            )
 
     @property
     def position(self) -> F8:

@@ -64,4 +64,5 @@ def _frame_edge(width: float, height: float) -> F8:
     t = np.arange(_EDGE) / _EDGE
     zero = np.zeros(_EDGE)
     unit = np.array([[*t, *zero + 1, *1 - t, *zero], [*zero, *t, *zero + 1, *1 - t]])
-    return np.array([[width], [height]]) * unit
+    edge: F8 = np.array([[width], [height]]) * unit
+    return edge

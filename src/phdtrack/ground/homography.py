@@ -50,8 +50,10 @@ class HomographyCamera:
             raise InputError(
                 "expected a matrix that can be inverted, got a singular one",
                 where="homography",
-                cure="A homography maps the image to the ground one to one: are all nine numbers"
-                " there?",
+                cure=(
+                    "A homography maps the image to the ground one to one: are all nine numbers"
+                    " there?"
+                ),
             )
         object.__setattr__(self, "_forward", h * (_sign(h, self.inside) / np.abs(h).max()))
         object.__setattr__(self, "_back", np.linalg.inv(self._forward))
@@ -98,8 +100,7 @@ def as_columns(points: F8, max_rows: int) -> F8:
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or not 2 <= len(points) <= max_rows:
         shape = "(2, N)" if max_rows == 2 else "(2, N) or (3, N)"
-        problem = f"expected points as columns, {shape}, got {points.shape}"
-        raise InputError(problem, where="camera")
+        raise InputError(f"expected points as columns, {shape}, got {points.shape}", where="camera")
     return points
 
 
@@ -117,12 +118,16 @@ def _sign(h: F8, inside: tuple[float, float] | None) -> float:
         # The change of w with the row decides, unless w is constant over any real image.
         level = abs(h[2, 1]) * _FAR < abs(h[2, 2])
         if h[2, 1] == h[2, 2] == 0:
-            problem = "the horizon stands upright in the picture"
-            cure = "Name a pixel that shows ground: inside = [u, v]."
-            raise InputError(problem, where="homography", cure=cure)
+            raise InputError(
+                "the horizon stands upright in the picture",
+                where="homography",
+                cure="Name a pixel that shows ground: inside = [u, v].",
+            )
         return float(np.sign(h[2, 2] if level else h[2, 1]))
     terms = h[2] * np.array([*inside, 1.0])
     if not abs(terms.sum()) > _HORIZON * np.abs(terms).sum():
-        problem = f"expected a pixel that shows ground, got {inside}, on the horizon"
-        raise InputError(problem, where="inside of the homography")
+        raise InputError(
+            f"expected a pixel that shows ground, got {inside}, on the horizon",
+            where="inside of the homography",
+        )
     return float(np.sign(terms.sum()))

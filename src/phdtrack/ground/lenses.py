@@ -127,25 +127,26 @@ class OpenCVLens:
         d = np.asarray(self.distortion)
         where = "lens of the camera"
         if k.shape != (3, 3) or not np.isfinite(k).all() or min(k[0, 0], k[1, 1]) <= 0:
-            problem = "expected a camera matrix (3, 3) with focal lengths above 0"
-            raise InputError(problem, where=where)
-        if np.any(k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or k[2, 2] != 1:
-            problem = (
-                "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got other entries"
-                " than 0 and 1"
+            raise InputError(
+                "expected a camera matrix (3, 3) with focal lengths above 0", where=where
             )
-            raise InputError(problem, where=where)
+        if np.any(k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or k[2, 2] != 1:
+            raise InputError(
+                "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got other entries"
+                " than 0 and 1",
+                where=where,
+            )
         size_allowed = d.ndim == 1 and len(d) in (0, 4, 5, 8, 12)
         if not (size_allowed and (np.abs(d) <= _MAX_DISTORTION).all()):
-            problem = (
+            raise InputError(
                 "expected 0, 4, 5, 8 or 12 finite distortion coefficients of at most"
-                f" {_MAX_DISTORTION:g}, got {d.size}"
+                f" {_MAX_DISTORTION:g}, got {d.size}",
+                where=where,
+                cure=(
+                    "The two of a tilted sensor (14 coefficients) are not supported; omit them if they"
+                    " are 0."
+                ),
             )
-            cure = (
-                "The two of a tilted sensor (14 coefficients) are not supported; omit them if they"
-                " are 0."
-            )
-            raise InputError(problem, where=where, cure=cure)
         object.__setattr__(self, "fold", _fold(np.concatenate([d, np.zeros(12 - len(d))])))
 
     def rays(self, pixel: F8) -> F8:

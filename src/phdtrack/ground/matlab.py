@@ -57,8 +57,10 @@ def read_matrices(
     time_limit : seconds until it is ended.
     """
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        problem = "expected a file of MATLAB 4 to 7, got one of version 7.3 (HDF5)"
-        raise InputError(problem, cure="Save it with -v7.")
+        raise InputError(
+            "expected a file of MATLAB 4 to 7, got one of version 7.3 (HDF5)",
+            cure="Save it with -v7.",
+        )
     try:
         done = subprocess.run(
             # -P: nothing is imported from the current folder.
@@ -70,8 +72,12 @@ def read_matrices(
             check=True,
         )
     except subprocess.SubprocessError as error:
-        lines = (error.stderr or b"").decode(errors="replace").strip().splitlines()
+        lines = (
+            (getattr(error, "stderr", None) or b"").decode(errors="replace").strip().splitlines()
+        )
         reason = lines[-1] if lines else "it crashed"
-        problem = f"expected a file of MATLAB 4 to 7, which SciPy cannot read ({reason})"
-        raise InputError(problem, cure="Is it complete? Save it again, with -v7.") from None
+        raise InputError(
+            f"expected a file of MATLAB 4 to 7, which SciPy cannot read ({reason})",
+            cure="Is it complete? Save it again, with -v7.",
+        ) from None
     return {name: np.array(rows, np.float64) for name, rows in json.loads(done.stdout).items()}

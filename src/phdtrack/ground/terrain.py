@@ -58,7 +58,9 @@ class Flat:
         return np.repeat([[0.0], [0.0], [1.0]], np.shape(xy)[1], axis=1)
 
     def meet(self, origin: F8, direction: F8) -> F8:
-        """(N,) the s > 0 at which the ray reaches the level; NaN on and above the horizon [E13 (7)]."""
+        """(N,) the s > 0 at which the ray reaches the level; NaN on and above the horizon [E13
+        (7)].
+        """
         fall = self.level - origin[2]
         length = np.linalg.norm(direction, axis=0)
         meets = (direction[2] * fall > 0) & (np.abs(direction[2]) > _LEVEL * length)
@@ -89,18 +91,18 @@ class Terrain:
         heights = np.asarray(self.heights)
         is_grid = heights.ndim == 2 and min(heights.shape) >= 2
         if not is_grid or (np.abs(heights) > _MAX_HEIGHT).any() or np.isnan(heights).all():
-            problem = (
+            raise InputError(
                 f"expected 2 x 2 heights or more, within {_MAX_HEIGHT:g} m or NaN, not all NaN, got"
-                f" shape {heights.shape}"
+                f" shape {heights.shape}",
+                where="terrain",
             )
-            raise InputError(problem, where="terrain")
         shapes_fit = origin.shape == step.shape == (2,)
         if not (shapes_fit and np.isfinite([origin, step]).all() and (step > 0).all()):
-            problem = (
+            raise InputError(
                 "expected a finite origin (x, y) and finite steps (along x, along y) above 0, in"
-                " metres"
+                " metres",
+                where="terrain",
             )
-            raise InputError(problem, where="terrain")
         levels = float(np.nanmin(heights)), float(np.nanmean(heights)), float(np.nanmax(heights))
         object.__setattr__(self, "_levels", levels)
 
@@ -226,7 +228,7 @@ class Line(NamedTuple):
 
 
 def read_terrain(path: AnyPath) -> Terrain:
-    """Read the elevation map in an ASCII grid. Raises `InputError` if it is missing or malformed."""
+    """Read the elevation map in an ASCII grid. Raises `InputError` if missing or malformed."""
     path = Path(path)
     origin, step, heights = _grid(path, load(path))
     try:
@@ -253,19 +255,22 @@ def _grid(path: Path, content: bytes) -> tuple[F8, F8, F8]:
         ("yllcorner", "yllcenter"),
     ):
         if not any(name in head for name in names):
-            problem = f"expected an ASCII grid that states {' or '.join(names)}, got none"
-            raise InputError(problem, where=path)
+            raise InputError(
+                f"expected an ASCII grid that states {' or '.join(names)}, got none", where=path
+            )
     for name in ("ncols", "nrows"):
         if not (head[name] >= 0 and head[name].is_integer()):
-            problem = f"expected a whole number for {name}, got {head[name]:g}"
-            raise InputError(problem, where=path)
+            raise InputError(f"expected a whole number for {name}, got {head[name]:g}", where=path)
     columns = int(head["ncols"])
     rows = int(head["nrows"])
     cell = head["cellsize"]
     table = [line.numbers(columns) for line in lines]
     if len(table) != rows:
-        problem = f"expected {rows} rows of heights, got {len(table)}"
-        raise InputError(problem, where=path, cure="Is the file complete?")
+        raise InputError(
+            f"expected {rows} rows of heights, got {len(table)}",
+            where=path,
+            cure="Is the file complete?",
+        )
     heights = np.array(table).reshape(rows, columns)[::-1]
     heights = np.where(heights == head.get("nodata_value", np.nan), np.nan, heights)
     origin = [head.get(f"{a}llcenter", head.get(f"{a}llcorner", 0.0) + cell / 2) for a in "xy"]

@@ -1,4 +1,4 @@
-"""Scores of tracks: VACE and CLEAR, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, and causes of errors."""
+"""Scores of tracks: VACE, CLEAR, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, and causes of errors."""
 
 from phdtrack.metrics.causes import Errors, explain
 from phdtrack.metrics.rmse import TargetErrors, rmse_per_target

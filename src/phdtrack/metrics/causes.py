@@ -83,7 +83,7 @@ class Errors:
         return ("not tracked",)
 
     def sums(self) -> dict[str, int]:
-        """The numbers of misses by cause and by place and of false positives, as named in `SUMS`."""
+        """The numbers of misses by cause and place and of false positives, named as in `SUMS`."""
         misses = self.misses.sum(axis=0)
         numbers = np.concatenate([misses.sum(axis=1), misses.sum(axis=0), self.false.sum(axis=0)])
         return dict(zip(SUMS, numbers.tolist(), strict=True))

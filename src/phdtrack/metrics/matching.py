@@ -46,8 +46,9 @@ def above(overlap: F8, threshold: float) -> F8:
 def check_threshold(threshold: float) -> None:
     """Raise `InputError` unless 0 < ``threshold`` ≤ 1."""
     if not 0 < threshold <= 1:
-        problem = f"expected an overlap (IoU) above 0 and at most 1, got {threshold:g}"
-        raise InputError(problem, where="iou")
+        raise InputError(
+            f"expected an overlap (IoU) above 0 and at most 1, got {threshold:g}", where="iou"
+        )
 
 
 def assign(score: F8) -> tuple[I8, I8]:
@@ -125,8 +126,9 @@ def pair_frames(truth: Truth, tracks: Tracks, frames: int = 0, first: int = 1) -
     """
     for name, value, minimum in (("frames", frames, 0), ("first", first, 1)):
         if value < minimum or value % 1:
-            problem = f"expected a whole number of at least {minimum}, got {value}"
-            raise InputError(problem, where=name)
+            raise InputError(
+                f"expected a whole number of at least {minimum}, got {value}", where=name
+            )
     _check(truth, truth.distractor, "truth")
     _check(tracks, np.zeros(len(tracks.frame), np.bool_), "tracks")
     last = int(frames or max(truth.frame.max(initial=0), tracks.frame.max(initial=0)))
@@ -172,18 +174,22 @@ def _check(rows: Truth | Tracks, distractor: Bool, name: str) -> None:
         and _kind(distractor) == "b"
         and distractor.shape == frame.shape
     ):
-        problem = (
+        raise InputError(
             "expected arrays of whole numbers for frame and identity, and of as many booleans for"
-            " distractor"
+            " distractor",
+            where=name,
         )
-        raise InputError(problem, where=name)
     if identity.shape != frame.shape or xyxy.shape != (len(frame), 4):
         shapes = f"{frame.shape}, {identity.shape}, {xyxy.shape}"
-        problem = f"expected frame (M,), identity (M,), xyxy (M, 4), got {shapes}"
-        raise InputError(problem, where=name)
+        raise InputError(
+            f"expected frame (M,), identity (M,), xyxy (M, 4), got {shapes}", where=name
+        )
     if len(frame) and frame.min() < 1:
-        cure = "Add 1 to frames that count from 0."
-        raise InputError(f"expected frame numbers from 1, got {frame.min()}", where=name, cure=cure)
+        raise InputError(
+            f"expected frame numbers from 1, got {frame.min()}",
+            where=name,
+            cure="Add 1 to frames that count from 0.",
+        )
     bad = np.flatnonzero(
         ~(np.isfinite(xyxy).all(axis=1) & (xyxy[:, 2:] >= xyxy[:, :2]).all(axis=1))
     )
@@ -192,15 +198,20 @@ def _check(rows: Truth | Tracks, distractor: Bool, name: str) -> None:
             f"expected finite boxes with left ≤ right and top ≤ bottom, got {xyxy[bad[0]].tolist()}"
         )
         where = f"{name}, frame {frame[bad[0]]}, identity {identity[bad[0]]}"
-        cure = "Boxes are left, top, right, bottom, not left, top, width, height."
-        raise InputError(problem, where=where, cure=cure)
+        raise InputError(
+            problem,
+            where=where,
+            cure="Boxes are left, top, right, bottom, not left, top, width, height.",
+        )
     order = np.lexsort((identity, frame))
     order = order[~distractor[order]]
     same = order[:-1][(np.diff(frame[order]) == 0) & (np.diff(identity[order]) == 0)]
     if len(same):
-        problem = f"expected one row per identity and frame, got identity {identity[same[0]]} twice"
-        cure = "Drop the repeated row, or give it its own identity."
-        raise InputError(problem, where=f"{name}, frame {frame[same[0]]}", cure=cure)
+        raise InputError(
+            f"expected one row per identity and frame, got identity {identity[same[0]]} twice",
+            where=f"{name}, frame {frame[same[0]]}",
+            cure="Drop the repeated row, or give it its own identity.",
+        )
 
 
 def _kind(column: object) -> str:

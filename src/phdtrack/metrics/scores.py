@@ -97,9 +97,11 @@ def evaluate(
     check_threshold(iou)
     for rows, kind, name in ((truth, Truth, "annotated objects"), (tracks, Tracks, "tracks")):
         if not isinstance(rows, kind):
-            problem = f"expected {name} as {kind.__name__}, got {type(rows).__name__}"
-            cure = "Read files with phdtrack.formats.read_truth and read_tracks."
-            raise InputError(problem, where="evaluate", cure=cure)
+            raise InputError(
+                f"expected {name} as {kind.__name__}, got {type(rows).__name__}",
+                where="evaluate",
+                cure="Read files with phdtrack.formats.read_truth and read_tracks.",
+            )
     return scores_of(count(pair_frames(truth, tracks, frames, first), iou), iou)
 
 
@@ -111,8 +113,10 @@ def pool(parts: Sequence[Scores]) -> Scores:
     iou = parts[0].iou
     different = [part.iou for part in parts if part.iou != iou]
     if different:
-        problem = f"expected results with the same settings, got IoU {iou} and {different[0]}"
-        raise InputError(problem, cure="Evaluate all sequences with the same threshold.")
+        raise InputError(
+            f"expected results with the same settings, got IoU {iou} and {different[0]}",
+            cure="Evaluate all sequences with the same threshold.",
+        )
     sums = (sum(getattr(part.counts, f.name) for part in parts) for f in fields(Counts))
     return scores_of(Counts(*sums), iou)
 
