@@ -252,8 +252,8 @@ def _kind(source: Source, text: Text) -> Kind:
             f"column 2 is the identity, a whole number (-1 if there is none), got {cell}",
             where=text.origin.at(0),
             cure=(
-                "Give frame, id, left, top, width, height, score in this order, or name the columns in"
-                " a header line."
+                "Give frame, id, left, top, width, height, score in this order, or name the columns"
+                " in a header line."
             ),
         )
     if text.width in (12, 13) and is_number(cell) and float(cell) >= 0:

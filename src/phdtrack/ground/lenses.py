@@ -143,8 +143,8 @@ class OpenCVLens:
                 f" {_MAX_DISTORTION:g}, got {d.size}",
                 where=where,
                 cure=(
-                    "The two of a tilted sensor (14 coefficients) are not supported; omit them if they"
-                    " are 0."
+                    "The two of a tilted sensor (14 coefficients) are not supported; omit them if"
+                    " they are 0."
                 ),
             )
         object.__setattr__(self, "fold", _fold(np.concatenate([d, np.zeros(12 - len(d))])))

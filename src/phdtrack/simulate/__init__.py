@@ -1,6 +1,6 @@
-"""Scenes with truth, as detections and as video.
+"""Simulated scenes with truth, as detections and as video.
 
-`make_scene` gives one of the scenes in `NAMED`; `detect` and `add_clutter` work on any truth or
+`make_scene` makes one of the scenes in `NAMED`; `detect` and `add_clutter` work on any truth or
 detections; `Rendered` is a scene as a video.
 """
 

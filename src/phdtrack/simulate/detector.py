@@ -1,10 +1,10 @@
-"""A simulated detector: it misses objects, its boxes are not exact, and it reports what is not
-there.
+"""A simulated detector with missed detections, box noise and false alarms.
 
-Each object in the truth is detected with probability p_D (1 − c)^s, c its part hidden by nearer
-ones. On top come Poisson clutter, uniform over the frame, and places that fire by chance in every
-frame. The parts draw from separate random streams: the detections of the targets are the same
-whatever the clutter, and a higher p_D only adds to those of a lower one.
+Each object in the truth is detected with probability p_D (1 − c)^s, where c is the share of it that
+nearer objects hide. False alarms are Poisson clutter, uniform over the frame, and persistent
+places, each of which fires by chance in every frame. Each part draws from its own random stream:
+the detections of the targets do not depend on the clutter, and a higher p_D only adds detections to
+those of a lower one.
 """
 
 from __future__ import annotations
@@ -20,30 +20,28 @@ from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Tru
 HEIGHTS = (0.08, 0.5)
 ASPECTS = (1 / 3, 1.0)
 """Log-uniform clutter: heights in frame heights, and width over height."""
-# A jittered width or height stays above this part of the true one.
+# A noisy width or height stays above this share of the true one.
 _MIN_SIZE = 0.2
-_MOST_FRAMES = 10_000_000
-# Points a side at which it is seen how much of a box is hidden.
+_MAX_FRAMES = 10_000_000
+# Points along each side of the grid on which the hidden share of a box is estimated.
 _GRID = 9
 
 
 @dataclass(frozen=True, slots=True)
 class DetectorModel(Checked):
-    """Settings of a simulated detector, whose scores are all 1. Defaults are of the clutter cases:
-    p_D 0.9, jitter 5 %.
+    """Settings of a simulated detector, whose scores are all 1. The defaults are those of the
+    clutter cases: p_D 0.9, jitter 5 %.
 
     Attributes
     ----------
-    p_detect : p_D of an object that nothing hides.
-    occlusion : exponent s of the visible part: p_D (1 − c)^s. 0: hidden objects are detected as
-        well as others.
+    p_detect : p_D of an object that is not hidden.
+    occlusion : exponent s of the visible share: p_D (1 − c)^s. 0: occlusion has no effect.
     jitter, jitter_size : standard deviations of the centre's error, in box widths and heights, and
         of the relative error of width and height.
     clutter_rate : λ, expected Poisson false alarms per frame.
-    clutter_of_all_sizes : whether their sizes are log-uniform, and not drawn from the truth's
-        boxes.
-    places, place_fire, place_jitter : number of persistent places, their probability to fire in a
-        frame, their jitter.
+    clutter_of_all_sizes : True for log-uniform sizes of these, False for sizes of the truth.
+    places, place_fire, place_jitter : number of persistent places, their probability of firing in
+        a frame, their jitter.
     """
 
     p_detect: Probability = 0.9
@@ -59,12 +57,12 @@ class DetectorModel(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detected:
-    """Simulated detections and where each came from.
+    """Simulated detections and the origin of each.
 
     Attributes
     ----------
     table : M detections, ascending in frame, in random order within a frame.
-    source : (M,) int64: the identity it came from, 0 for Poisson clutter, −1, −2, … for the
+    source : (M,) int64: the identity of the object, 0 for Poisson clutter, −1, −2, … for the
         persistent places.
     places : (P, 4) xyxy of the persistent places, pixels: place p is ``source`` −(p + 1).
     """
@@ -82,55 +80,54 @@ def detect(
     *,
     obstacles: F8 | None = None,
 ) -> Detected:
-    """Simulated detections of the truth in the frames 1 … ``info.frames``, and where each came
-    from. Raises `InputError` where that number is not known, or the truth has rows outside of it.
+    """Simulate detections of the truth in the frames 1 … ``info.frames``. Raises `InputError` if
+    that number is unknown, or the truth has rows in other frames.
 
     Parameters
     ----------
     truth : the objects; rows marked as distractors are not detected.
     info : size and number of frames of the sequence.
-    rng : streams are spawned from it: a fresh generator of the same seed gives the same detections.
+    rng : random streams are spawned from it: a new generator with the same seed gives the same
+        detections.
     model : settings of the detector.
-    obstacles : (K, 4) xyxy of things that hide what is behind them, pixels; for
+    obstacles : (K, 4) xyxy of obstacles that hide objects behind them, pixels; for
         ``model.occlusion``.
     """
     if info.frames < 1 or (
         len(truth) and not 1 <= truth.frame.min() <= truth.frame.max() <= info.frames
     ):
-        problem = f"expected a truth within the frames 1 … {info.frames}"
         raise InputError(
-            problem,
+            f"expected a truth within the frames 1 … {info.frames}",
             where=info.name,
             cure="Give the number of frames of the sequence in SequenceInfo.frames",
         )
     targets_rng, clutter_rng, places_rng, order_rng = rng.spawn(4)
-    sizes = to_cxcywh(truth.xyxy[~truth.distractor])[2:].T[
-        : 0 if model.clutter_of_all_sizes else None
-    ]
+    sizes = np.zeros((0, 2))
+    if not model.clutter_of_all_sizes:
+        sizes = to_cxcywh(truth.xyxy[~truth.distractor])[2:].T
     places = place_boxes(info, model.places, sizes, places_rng)
 
-    # Objects: a number drawn for each decides whether it is detected.
-    lot = targets_rng.random(len(truth))
+    # Objects. The draw does not depend on p_D.
+    draw = targets_rng.random(len(truth))
     boxes = _jittered(truth.xyxy, model.jitter, model.jitter_size, targets_rng)
     p_detect = np.full(len(truth), model.p_detect)
     if model.occlusion:
-        p_detect *= (
-            1 - covered(truth, np.zeros((0, 4)) if obstacles is None else obstacles)
-        ) ** model.occlusion
-    kept = np.flatnonzero((lot < p_detect) & ~truth.distractor)
+        hidden = covered(truth, np.zeros((0, 4)) if obstacles is None else obstacles)
+        p_detect *= (1 - hidden) ** model.occlusion
+    detected = np.flatnonzero((draw < p_detect) & ~truth.distractor)
 
     # Poisson clutter, and persistent places.
-    at, false = _poisson_boxes(info, model.clutter_rate, sizes, clutter_rng)
+    clutter_frame, clutter_box = _poisson_boxes(info, model.clutter_rate, sizes, clutter_rng)
     fired, place = np.nonzero(places_rng.random((info.frames, model.places)) < model.place_fire)
     place_box = _jittered(places[place], model.place_jitter, model.place_jitter, places_rng)
 
-    frame = np.concatenate([truth.frame[kept], at, fired + 1])
-    source = np.concatenate([truth.identity[kept], np.zeros(len(at), np.int64), -(place + 1)])
-    found = np.concatenate([boxes[kept], false, place_box])
+    frame = np.concatenate([truth.frame[detected], clutter_frame, fired + 1])
+    no_source = np.zeros(len(clutter_frame), np.int64)
+    source = np.concatenate([truth.identity[detected], no_source, -(place + 1)])
+    xyxy = np.concatenate([boxes[detected], clutter_box, place_box])
     order = _shuffled(frame, order_rng)
-    return Detected(
-        DetectionTable(frame[order], Detections.of(found[order])), source[order], places
-    )
+    table = DetectionTable(frame[order], Detections.of(xyxy[order]))
+    return Detected(table, source[order], places)
 
 
 def add_clutter(
@@ -140,28 +137,27 @@ def add_clutter(
     rng: np.random.Generator,
     truth_sizes: F8,
 ) -> DetectionTable:
-    """``table`` with Poisson clutter mixed in, in all frames 1 … ``info.frames``. Raises
-    `InputError` where that number is not known, or ``rate`` is not a number of boxes.
+    """Mix Poisson clutter into the ``table``, in all frames 1 … ``info.frames``. Raises
+    `InputError` if that number is unknown, or ``rate`` is not a number of boxes.
 
-    Score, class and covariance of each false alarm are those of a detection drawn from the table,
-    so that they do not give it away; 1 and 0 where the table is empty. Within a frame the order is
-    random.
+    Each false alarm gets the score, class and covariance of a detection drawn from the table, so
+    that they do not reveal it; score 1 and class 0 if the table is empty. Within a frame the order
+    is random.
 
     Parameters
     ----------
     table : detections, which may come from a real detector.
     info : size and number of frames of the sequence.
     rate : expected false alarms per frame.
-    rng : draws them.
-    truth_sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
+    rng : the random generator.
+    truth_sizes : (S, 2) widths and heights to draw from, pixels; log-uniform if it has no rows.
     """
-    if not 1 <= info.frames <= _MOST_FRAMES:
-        problem = (
-            f"expected a known number of frames to add clutter to, at most {_MOST_FRAMES:,}, came"
-            f" {info.frames}"
-        )
+    if not 1 <= info.frames <= _MAX_FRAMES:
         raise InputError(
-            problem, where=info.name, cure="Count the frames. Is a frame number wrong?"
+            f"expected a number of frames to add clutter to, at most {_MAX_FRAMES:,}, got"
+            f" {info.frames}",
+            where=info.name,
+            cure="Count the frames. Is a frame number wrong?",
         )
     if not 0 <= rate < np.inf:
         raise InputError(
@@ -181,11 +177,11 @@ def add_clutter(
 
 
 def covered(truth: Truth, obstacles: F8) -> F8:
-    """(M,) part of each box that nearer boxes of its frame or ``obstacles`` (K, 4) hide, to within
+    """(M,) share of each box that nearer boxes of its frame or ``obstacles`` (K, 4) hide, to within
     about 1/9 of its area.
 
-    A box with a lower edge is nearer to the camera. Estimated on a grid of points, so that what
-    several boxes hide together counts once.
+    A box with a lower bottom edge is nearer to the camera. The share is estimated on a grid of
+    points, so that points that several boxes hide count once.
     """
     hidden = np.zeros(len(truth))
     steps = (np.arange(_GRID) + 0.5) / _GRID
@@ -215,14 +211,14 @@ def _poisson_boxes(
 
 
 def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator) -> F8:
-    """(n, 4) xyxy boxes of persistent places, pixels, each whole inside the frame.
+    """(n, 4) xyxy boxes of persistent places, pixels, each entirely inside the frame.
 
     Parameters
     ----------
     info : size of the frame.
     n : number of places.
-    sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
-    rng : draws them.
+    sizes : (S, 2) widths and heights to draw from, pixels; log-uniform if it has no rows.
+    rng : the random generator.
     """
     edge = np.array([info.width, info.height], dtype=np.float64)
     size = np.minimum(_draw_sizes(info, n, sizes, rng), edge)
@@ -231,8 +227,8 @@ def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator)
 
 
 def _draw_sizes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator) -> F8:
-    """(n, 2) widths and heights, rows of ``sizes`` (S, 2) or, where it has none, log-uniform in
-    height and in aspect.
+    """(n, 2) widths and heights: rows of ``sizes`` (S, 2), or log-uniform in height and aspect if
+    it has none.
     """
     if len(sizes):
         return sizes[rng.integers(len(sizes), size=n)]
@@ -252,5 +248,5 @@ def _jittered(xyxy: F8, centre: float, size: float, rng: np.random.Generator) ->
 
 
 def _shuffled(frame: I8, rng: np.random.Generator) -> I8:
-    """(M,) an order that sorts by frame and is random within each frame."""
+    """(M,) indices that sort by frame, in random order within each frame."""
     return np.lexsort((rng.random(len(frame)), frame))

@@ -1,16 +1,16 @@
 """Scenes by name, with truth and simulated detections of people who walk over flat ground, seen by
 a level camera.
 
-Arrivals are a Poisson process in time. Each person walks from an entrance to another one over a
-point between, pauses now and then, and has a speed and a stature. `Scenario.walks` adds given
-walks. The truth is what lies in the frame, clipped to it; occluded people stay in it, as annotators
-of benchmarks keep them.
+Arrivals are a Poisson process in time. Each person walks from one entrance to another via a point
+in between, pauses now and then, and has a speed and a stature. `Scenario.walks` adds given walks.
+The truth has the boxes in the frame, clipped to it; occluded people stay in it, as in benchmarks.
 
 Lengths on the ground are in body heights. With focal length f (pixels), camera height c (body
-heights), horizon row y₀ and image centre x₀, a foot point at lateral X and depth Z is seen at
+heights), horizon row y₀ and image centre x₀, a foot point at lateral X and depth Z appears at
 
-    x = x₀ + f X / Z        y = y₀ + f c / Z        and a figure there is   f / Z = (y − y₀) / c
-    pixels tall.
+    x = x₀ + f X / Z        y = y₀ + f c / Z
+
+and a figure there is f / Z = (y − y₀) / c pixels tall.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Truth
 
 Point = tuple[float, float]
-# Part of a figure that must be in the frame for it to be in the truth.
+# Share of a figure that must be in the frame for it to be in the truth.
 _MIN_VISIBLE = 0.3
 
 
-class Camera(NamedTuple):
-    """``horizon`` and ``centre`` in pixels, ``focal`` in pixels, ``height`` above the ground in
-    body heights.
+class LevelCamera(NamedTuple):
+    """A camera with a horizontal axis: ``horizon``, ``centre`` and ``focal`` in pixels, ``height``
+    above the ground in body heights.
     """
 
     centre: float
@@ -57,15 +57,15 @@ class Camera(NamedTuple):
         depth = self.focal * self.height / (xy[:, 1] - self.horizon)
         return np.stack([(xy[:, 0] - self.centre) * depth / self.focal, depth], axis=1)
 
-    def to_picture(self, ground: F8) -> F8:
+    def to_image(self, ground: F8) -> F8:
         """(n, 2) pixels of the ground points (n, 2)."""
         x = self.centre + self.focal * ground[:, 0] / ground[:, 1]
         return np.stack([x, self.horizon + self.focal * self.height / ground[:, 1]], axis=1)
 
 
-def _standing(camera: Camera, foot: F8, stature: float, aspect: float) -> F8:
-    """(n, 4) xyxy of figures that stand at the pixels ``foot`` (n, 2); their relative height, width
-    over height.
+def _standing(camera: LevelCamera, foot: F8, stature: float, aspect: float) -> F8:
+    """(n, 4) xyxy of figures with their feet at the pixels ``foot`` (n, 2); ``stature`` is the
+    relative height, ``aspect`` width over height.
     """
     tall = stature * ((foot[:, 1] - camera.horizon) / camera.height)
     half = aspect * tall / 2
@@ -73,7 +73,7 @@ def _standing(camera: Camera, foot: F8, stature: float, aspect: float) -> F8:
 
 
 class Walk(NamedTuple):
-    """One person's way.
+    """The path of one person.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Walk(NamedTuple):
         are rounded.
     at : second at which the walk begins; may be before the first frame.
     speed : body heights per second on the ground.
-    stature : height relative to the scene's usual.
+    stature : height relative to that of the scene.
     pauses : pairs (seconds walked until the pause, its length in seconds), ascending.
     """
 
@@ -92,31 +92,33 @@ class Walk(NamedTuple):
     pauses: tuple[Point, ...] = ()
 
 
-def _followed(walk: Walk, camera: Camera, size: Point, times: F8) -> tuple[F8, I8]:
-    """Foot points (n, 2) in pixels at those ``times`` (T,) at which the walk is under way, and
-    which (n,) these are.
+def _foot_points(walk: Walk, camera: LevelCamera, size: Point, times: F8) -> tuple[F8, I8]:
+    """Foot points (n, 2) in pixels at the ``times`` (T,) during the walk, and the indices (n,) of
+    these times.
     """
     line = camera.to_ground(np.array(walk.points) * np.array(size))
-    for _ in range(4 if len(line) > 2 else 0):  # the corners are cut (Chaikin), the ends stay
+    # Chaikin's corner cutting, which keeps the ends.
+    for _ in range(4 if len(line) > 2 else 0):
         a = line[:-1]
         b = line[1:]
         cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
         line = np.concatenate([line[:1], cut, line[-1:]])
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     since = times - walk.at
-    paused = 0.0
-    spent = np.zeros_like(since)
+    pauses_before = 0.0
+    paused = np.zeros_like(since)
     for walked, pause in walk.pauses:
-        spent += np.clip(since - (walked + paused), 0, pause)
-        paused += pause
-    gone = walk.speed * (since - spent)
-    index = np.flatnonzero((times >= walk.at) & (gone <= length[-1]))
-    ground = np.stack([np.interp(gone[index], length, line[:, axis]) for axis in (0, 1)], axis=1)
-    return camera.to_picture(ground), index
+        paused += np.clip(since - (walked + pauses_before), 0, pause)
+        pauses_before += pause
+    distance = walk.speed * (since - paused)
+    index = np.flatnonzero((times >= walk.at) & (distance <= length[-1]))
+    distance = distance[index]
+    ground = np.stack([np.interp(distance, length, line[:, axis]) for axis in (0, 1)], axis=1)
+    return camera.to_image(ground), index
 
 
 class Entrance(NamedTuple):
-    """Where people come and go: a border of the frame, or a door at ``foot`` (x, y in fractions of
+    """A border of the frame where people come and go, or a door at ``foot`` (x, y in fractions of
     the frame).
     """
 
@@ -127,24 +129,24 @@ class Entrance(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Scenario(Checked):
-    """Settings of a scene with people; lengths in the picture are fractions of the frame's width or
+    """Settings of a scene with people; lengths in the image are fractions of the frame's width or
     height.
 
     Attributes
     ----------
     name, frames, fps, width, height : of the sequence; width and height in pixels.
     horizon, focal, camera_height : row of the horizon, focal length in frame widths, height in body
-        heights (`Camera`).
+        heights (`LevelCamera`).
     rows : foot rows (top, bottom) between which people walk.
-    arrivals : people per second; they begin at second ``lead_in``, which may be negative: then some
-        are there at once.
-    entrances : where the arriving come from and go to.
+    arrivals : people per second from second ``lead_in`` on, which may be negative: then some people
+        are in the first frame.
+    entrances : origins and destinations of the arriving people.
     speed, speed_spread : mean and standard deviation over people, in body heights per second.
     aspect, stature_spread : width over height of a figure; standard deviation of its relative
         height.
     pause_rate, pause_seconds : pauses per second of walking and their mean length.
     walks : walks in addition to the arrivals.
-    obstacles : standing things (left, top, right, bottom) that hide what is behind them.
+    obstacles : standing obstacles (left, top, right, bottom) that hide people behind them.
     """
 
     name: str = "street"
@@ -171,7 +173,7 @@ class Scenario(Checked):
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
         low = min((y for walk in self.walks for _, y in walk.points), default=1.0)
-        expected = {
+        requirements = {
             f"at least 16x16 pixels, got {self.width}x{self.height}": (
                 min(self.width, self.height) >= 16
             ),
@@ -186,10 +188,10 @@ class Scenario(Checked):
             ),
             f"walks below the horizon {self.horizon:g}, got a foot at {low:g}": low > self.horizon,
         }
-        for what, met in expected.items():
-            if not met:
+        for requirement, is_met in requirements.items():
+            if not is_met:
                 raise InputError(
-                    f"expected {what}",
+                    f"expected {requirement}",
                     where=f"scenario {self.name}",
                     cure="Change this setting of the scene",
                 )
@@ -200,9 +202,9 @@ class Scenario(Checked):
         return SequenceInfo(self.width, self.height, self.fps, self.frames, self.name)
 
     @property
-    def camera(self) -> Camera:
+    def camera(self) -> LevelCamera:
         """The camera, in pixels."""
-        return Camera(
+        return LevelCamera(
             self.width / 2, self.horizon * self.height, self.focal * self.width, self.camera_height
         )
 
@@ -219,39 +221,34 @@ class Scenario(Checked):
         """(D, 4) xyxy of the doors, pixels: a quarter taller than the people, and half as wide as
         high.
         """
-        feet = np.array(
-            [e.foot for e in self.entrances if e.side == "door"], dtype=np.float64
-        ).reshape(-1, 2)
-        return _standing(
-            self.camera, feet * np.array([self.width, self.height]), stature=1.25, aspect=0.5
-        )
+        doors = [entrance.foot for entrance in self.entrances if entrance.side == "door"]
+        feet = np.array(doors, np.float64).reshape(-1, 2) * np.array([self.width, self.height])
+        return _standing(self.camera, feet, stature=1.25, aspect=0.5)
 
     def figures(self, rng: np.random.Generator) -> Truth:
-        """All figures with any part in the frame, numbered in the order of their arrival; boxes not
-        clipped.
+        """All figures that are at least partly in the frame, numbered in the order of their
+        arrival; boxes are not clipped.
         """
         walks = sorted((*self.walks, *self._arriving(rng)), key=lambda walk: walk.at)
         times = np.arange(self.frames) / self.fps
         parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)))]
         for walk in walks:
-            foot, index = _followed(walk, self.camera, (self.width, self.height), times)
+            foot, index = _foot_points(walk, self.camera, (self.width, self.height), times)
             box = _standing(self.camera, foot, walk.stature, self.aspect)
-            seen = share_inside(box, self.width, self.height) > 0
-            if seen.any():
-                parts.append(
-                    (index[seen] + 1, np.full(int(seen.sum()), len(parts), np.int64), box[seen])
-                )
-        frame, identity, boxes = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return truth_rows(frame, identity, boxes)
+            visible = share_inside(box, self.width, self.height) > 0
+            if visible.any():
+                identity = np.full(int(visible.sum()), len(parts), np.int64)
+                parts.append((index[visible] + 1, identity, box[visible]))
+        return truth_rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def truth(self, figures: Truth) -> Truth:
-        """The figures of which enough is in the frame, boxes clipped to it."""
+        """The figures that are sufficiently inside the frame, with boxes clipped to it."""
         kept = np.flatnonzero(share_inside(figures.xyxy, self.width, self.height) >= _MIN_VISIBLE)
         inside = np.clip(figures.xyxy[kept], 0.0, np.tile([self.width, self.height], 2))
         return truth_rows(figures.frame[kept], figures.identity[kept], inside)
 
     def _arriving(self, rng: np.random.Generator) -> list[Walk]:
-        """The walks of the people who arrive by chance; a random stream each, so that one more
+        """The walks of the arriving people. Each has its own random stream, so that one more
         arrival changes no other.
         """
         seconds = max(self.frames / self.fps - self.lead_in, 0)
@@ -264,30 +261,27 @@ class Scenario(Checked):
         ]
 
     def _draw_walk(self, at: float, rng: np.random.Generator) -> Walk:
-        """The way, speed, stature and pauses of one person."""
+        """The path, speed, stature and pauses of one person."""
         stature = float(np.clip(rng.normal(1, self.stature_spread), 0.7, 1.3))
         speed = float(max(rng.normal(self.speed, self.speed_spread), 0.3 * self.speed))
         weight = np.array([e.weight for e in self.entrances])
         first = int(rng.choice(len(weight), p=weight / weight.sum()))
         others = weight * (np.arange(len(weight)) != first)
+        last = first
         if others.any():
             last = int(rng.choice(len(weight), p=others / others.sum()))
-        else:
-            last = first
-        start, end = (self._foot(self.entrances[i], stature, rng) for i in (first, last))
+        start = self._foot(self.entrances[first], stature, rng)
+        end = self._foot(self.entrances[last], stature, rng)
         between = (float(rng.uniform(0.2, 0.8)), float(rng.uniform(*self.rows)))
+        gaps = np.zeros(0)
         if self.pause_rate:
             gaps = rng.exponential(1 / self.pause_rate, size=8)
-        else:
-            gaps = np.zeros(0)
         lengths = rng.exponential(self.pause_seconds, size=len(gaps))
         pauses = tuple(zip(np.cumsum(gaps).tolist(), lengths.tolist(), strict=True))
         return Walk((start, between, end), at, speed, stature, pauses)
 
     def _foot(self, entrance: Entrance, stature: float, rng: np.random.Generator) -> Point:
-        """A foot point at an entrance at which the figure is just outside the frame, or in the
-        door.
-        """
+        """A foot point at an entrance: the figure is just outside the frame, or in the door."""
         row = float(rng.uniform(*self.rows))
         column = float(rng.uniform(0.2, 0.8))
         box = _standing(self.camera, np.array([[0.0, row * self.height]]), stature, self.aspect)
@@ -297,7 +291,8 @@ class Scenario(Checked):
                 return -half, row
             case "right":
                 return 1 + half, row
-            case "bottom":  # the head just touches the lower edge of the picture
+            case "bottom":
+                # The head just touches the lower edge of the image.
                 row = self.height - stature * self.camera.horizon / self.camera_height
                 return column, row / (1 - stature / self.camera_height) / self.height
             case "door":
@@ -305,7 +300,7 @@ class Scenario(Checked):
 
 
 def truth_rows(frame: I8, identity: I8, xyxy: F8) -> Truth:
-    """A `Truth` of rows of which all count, sorted by frame, then identity.
+    """A `Truth` without distractors, sorted by frame, then identity.
 
     Parameters
     ----------
@@ -323,13 +318,13 @@ class Scene:
     Attributes
     ----------
     info : size, rate, number of frames and name.
-    truth : what an annotator would mark, boxes clipped to the frame.
-    figures : what the renderer draws: all figures of which any part is in the frame, boxes not
-        clipped.
+    truth : the annotated boxes, clipped to the frame.
+    figures : the figures to render: all that are at least partly in the frame, boxes not clipped.
     detections : M simulated detections of the truth, with clutter.
-    source : (M,) int64 where each came from, as in `Detected`.
-    places : (P, 4) xyxy of the places with persistent clutter, where the renderer lets leaves wave.
-    obstacles : (K, 4) xyxy of standing things that hide what is behind them, pixels.
+    source : (M,) int64 origin of each, as in `Detected`.
+    places : (P, 4) xyxy of the places with persistent clutter, at which the renderer draws waving
+        plants.
+    obstacles : (K, 4) xyxy of standing obstacles that hide people behind them, pixels.
     doors : (D, 4) xyxy of the doors in which figures appear or vanish, pixels.
     """
 
@@ -345,15 +340,15 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Look(Checked):
-    """What the picture looks like, and how hard it is to see change in it.
+    """The appearance of the video, and how hard change detection is in it.
 
     Attributes
     ----------
     noise : standard deviation of the camera's noise, grey levels.
-    flicker : relative standard deviation of the brightness of the whole picture.
-    plants : number of waving plants where the scene has no persistent places; where it has, one
-        grows at each.
-    wave : how far the top of a plant moves in a usual gust, in plant heights.
+    flicker : relative standard deviation of the brightness of the whole image.
+    plants : number of waving plants in a scene without persistent places; otherwise there is one
+        at each place.
+    wave : displacement of the top of a plant in an average gust, in plant heights.
     lamps : number of blinking lights and shimmering reflections.
     shadow : darkness of the shadows, 0 to 1.
     blown : leaves that the wind blows past the camera, expected number per frame; each is in one
@@ -389,7 +384,7 @@ _BEHIND = (
 STREET = Scenario()
 """People cross a street in both directions and pause now and then."""
 CROSSING = Scenario("crossing", frames=450, arrivals=0.0, walks=_PAIRS)
-"""Three pairs that walk towards each other and pass close by, at three distances from the
+"""Three pairs of people who walk towards each other and pass closely, at three distances from the
 camera.
 """
 OCCLUSION = Scenario(
@@ -408,7 +403,7 @@ CROWD = Scenario(
     rows=(0.48, 0.97),
     entrances=(*STREET.entrances, Entrance("bottom", weight=0.5)),
 )
-"""A dozen people or more at a time."""
+"""A dozen or more people at a time."""
 CORRIDOR = Scenario(
     "corridor",
     frames=750,
@@ -429,8 +424,8 @@ CORRIDOR = Scenario(
     pause_rate=0.15,
     pause_seconds=2.5,
 )
-"""A shopping centre's corridor seen along its length, with the door of a shop, at CAVIAR's size and
-rate.
+"""The corridor of a shopping centre seen along its length, with the door of a shop, at CAVIAR's
+image size and frame rate.
 """
 _WATCHED = Scenario(
     "yard", frames=1000, width=384, height=288, rows=(0.55, 0.95), arrivals=0.3, lead_in=-10.0
@@ -438,8 +433,8 @@ _WATCHED = Scenario(
 YARD = replace(
     _WATCHED, entrances=(Entrance("left"), Entrance("right"), Entrance("door", (0.3, 0.53), 1.5))
 )
-"""A house with a door and a road before it, trees and blinking lights: a scene to learn, at
-CAVIAR's size.
+"""A road in front of a house with a door, trees and blinking lights: a scene to learn, at CAVIAR's
+image size.
 """
 GARDEN = replace(_WATCHED, name="garden", arrivals=0.12)
 """Few people among a dozen trees in a strong wind: most detections are false, and always in the
@@ -447,7 +442,7 @@ same places.
 """
 _COLUMNS = tuple((left, 0.3, left + 0.06, 0.86) for left in (0.15, 0.45, 0.75))
 ARCADE = replace(_WATCHED, name="arcade", rows=(0.56, 0.82), arrivals=0.25, obstacles=_COLUMNS)
-"""All people pass behind three columns, and tracks begin again next to them."""
+"""All people pass behind three columns, next to which tracks begin again."""
 EMPTY = Scenario("empty", frames=300, arrivals=0.0)
 """No people: every detection is false."""
 
@@ -455,8 +450,8 @@ NAMED = MappingProxyType(
     {w.name: w for w in (STREET, CROSSING, OCCLUSION, CROWD, CORRIDOR, YARD, GARDEN, ARCADE, EMPTY)}
 )
 """All scenes by name."""
-# Where a scene is not as usual: places with persistent false alarms, at which plants grow, and the
-# look of the video.
+# Scenes with other than the default number of places with persistent false alarms, at which plants
+# grow, or with another appearance.
 _PLACES = {"yard": 3, "garden": 12, "arcade": 3}
 _LOOKS = {
     "yard": Look(wave=0.12),
@@ -468,49 +463,49 @@ _LOOKS = {
 def make_scene(
     world: str | Scenario, seed: int, detector: DetectorModel | None = None, **settings: Any
 ) -> Scene:
-    """The scene of that name or with these settings; its truth does not depend on ``detector``.
-    Raises `InputError` where no scene has this name, it has no such setting, or the value is
-    impossible.
+    """Simulate the scene of this name or with these settings; its truth does not depend on
+    ``detector``. Raises `InputError` for an unknown name or setting, or an impossible value.
 
     Parameters
     ----------
-    world : one of `NAMED`, or settings of one's own.
-    seed : what is drawn by chance is drawn from it.
-    detector : None for `default_detector`, with misses where people hide each other.
-    **settings : other settings than the scene's own, as ``frames=100``.
+    world : one of `NAMED`, or your own settings.
+    seed : seed of all random draws.
+    detector : None for `default_detector`, which misses occluded people.
+    **settings : replace settings of the scene, for example ``frames=100``.
     """
     if isinstance(world, str):
         if world not in NAMED:
             raise InputError(f"no scene is called {world!r}", cure=did_you_mean(world, NAMED))
         world = NAMED[world]
-    known = [field.name for field in fields(world)]
+    names = [field.name for field in fields(world)]
     for key in settings:
-        if key not in known:
+        if key not in names:
             raise InputError(
-                f"scene {world.name} has no setting {key!r}", cure=did_you_mean(key, known)
+                f"scene {world.name} has no setting {key!r}", cure=did_you_mean(key, names)
             )
-    world, detector = replace(world, **settings), detector or default_detector(world)
+    detector = detector or default_detector(world)
+    world = replace(world, **settings)
     world_rng, detector_rng = np.random.default_rng(seed).spawn(2)
     figures = world.figures(world_rng)
     truth = world.truth(figures)
-    found = detect(truth, world.info, detector_rng, detector, obstacles=world.obstacles_px)
+    detected = detect(truth, world.info, detector_rng, detector, obstacles=world.obstacles_px)
     return Scene(
         world.info,
         truth,
         figures,
-        found.table,
-        found.source,
-        found.places,
+        detected.table,
+        detected.source,
+        detected.places,
         world.obstacles_px,
         world.doors_px,
     )
 
 
 def default_detector(world: Scenario) -> DetectorModel:
-    """The detector that a scene is given where none is asked for."""
+    """The detector of a scene unless another one is given."""
     return DetectorModel(occlusion=2.0, places=_PLACES.get(world.name, 5))
 
 
 def default_look(name: str) -> Look:
-    """What the video of the scene ``name`` looks like where nothing else is asked for."""
+    """The appearance of the scene ``name`` unless another one is given."""
     return _LOOKS.get(name, Look())
