@@ -61,7 +61,7 @@ def xml_of(path: Path) -> object:
             read_scene,
             b'{"format": 1, "width": 1e400, "height": 1, "rate": 1, "source": ""}',
             "",
-            "no learned scene",
+            "not a learned scene",
         ),
         (
             read_scene,

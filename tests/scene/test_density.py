@@ -3,7 +3,7 @@ import pytest
 
 from phdtrack.errors import InputError
 from phdtrack.scene import SceneDensity
-from phdtrack.scene.mixture import _mass_inside
+from phdtrack.scene.mixture import mass_inside
 from views import drawn_of
 
 LOW = np.array([0.0, 0.0, -2.0])
@@ -37,7 +37,7 @@ def test_density_integrates_to_one_inside_the_volume():
     assert leaking()(np.array([[-0.1, 5.0], [3.0, 6.1], [0.0, 0.0]])).tolist() == [0, 0]
 
 
-def test_mass_inside_agrees_with_sampling():
+def testmass_inside_agrees_with_sampling():
     p = leaking()
     rng = np.random.default_rng(0)
     for m in range(2):
@@ -49,13 +49,13 @@ def test_mass_inside_agrees_with_sampling():
         )
 
 
-def test_mass_inside_is_exact_for_independent_components():
+def testmass_inside_is_exact_for_independent_components():
     from scipy.stats import norm
 
     mean = np.array([[1.0], [2.0], [0.5]])
     deviation = np.array([3.0, 1.0, 2.0])
     expected = np.prod(norm.cdf(HIGH, mean[:, 0], deviation) - norm.cdf(LOW, mean[:, 0], deviation))
-    assert _mass_inside(mean, np.diag(deviation**2)[None], LOW, HIGH)[0] == pytest.approx(
+    assert mass_inside(mean, np.diag(deviation**2)[None], LOW, HIGH)[0] == pytest.approx(
         expected, rel=1e-12
     )
 
@@ -80,7 +80,7 @@ def test_draws_follow_the_density():
     [
         ({"high": np.array([0.0, 6, 2])}, "exceed"),
         ({"uniform": 0.0}, "share of the uniform part"),
-        ({"weight": np.array([0.7, 0.7])}, "of sum 1"),
+        ({"weight": np.array([0.7, 0.7])}, "with sum 1"),
         ({"weight": np.array([1.0])}, "do not fit"),
         ({"mean": np.full((3, 2), np.nan)}, "finite"),
         ({"covariance": np.zeros((2, 3, 3))}, "positive definite"),

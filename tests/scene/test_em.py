@@ -8,7 +8,7 @@ import pytest
 from phdtrack.errors import InputError
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.scene import SceneDensity, grid, learn, marginal
-from phdtrack.scene.em import Samples, _fitted, _improved, moments
+from phdtrack.scene.em import Samples, fit_em, moments, split_merge
 from phdtrack.types import F8
 from reference import em as defined
 from views import drawn_of
@@ -128,9 +128,9 @@ def test_bad_arguments_are_refused():
     p = known(4)
     with pytest.raises(InputError, match=r"expected samples \(4, n\)"):
         learn(p, np.zeros((6, 3)))
-    with pytest.raises(InputError, match="show something"):
+    with pytest.raises(InputError, match="needs at least one component"):
         learn(p, np.full((4, 3), np.nan))
-    with pytest.raises(InputError, match="finite"):
+    with pytest.raises(InputError, match="no infinite one"):
         learn(p, np.full((4, 3), np.inf))
 
 
@@ -197,21 +197,21 @@ def test_every_em_step_raises_the_likelihood():
     seen = samples_of(drawn_of(p, 300, rng), floor=1e-9)
     shifted = density([[300, 260, 45, 80], [480, 120, 33, 75]], [WIDE, PLACE * 9], [0.5, 0.5], 0.5)
     before = shifted.mean.copy(), shifted.covariance.copy()
-    values = [likelihood_of(_fitted(shifted, seen, steps), seen) for steps in range(8)]
+    values = [likelihood_of(fit_em(shifted, seen, steps), seen) for steps in range(8)]
     assert (np.diff(values) > 0).all()
     np.testing.assert_array_equal(shifted.mean, before[0])
     np.testing.assert_array_equal(shifted.covariance, before[1])
     # The truth explains what was drawn of it worse than what was fitted to it.
-    assert likelihood_of(_fitted(shifted, seen), seen) > likelihood_of(p, seen)
+    assert likelihood_of(fit_em(shifted, seen), seen) > likelihood_of(p, seen)
 
 
 @pytest.mark.slow
 def test_weak_components_are_removed_except_the_last():
     x = drawn_of(two(), 100, np.random.default_rng(3))
     far = density([[320, 240, 40, 90], [10, 10, 5, 5]], [WIDE, PLACE], [0.9, 0.1])
-    assert len(_fitted(far, samples_of(x))) == 1
+    assert len(fit_em(far, samples_of(x))) == 1
     # Of one sample, one component is kept all the same.
-    assert len(_fitted(far, samples_of(x[:, :1]))) == 1
+    assert len(fit_em(far, samples_of(x[:, :1]))) == 1
 
 
 def places(rng: np.random.Generator) -> F8:
@@ -228,7 +228,7 @@ def places(rng: np.random.Generator) -> F8:
 @pytest.mark.parametrize("seed", range(6))
 def test_cluster_inside_a_wide_component_is_found(seed):
     seen = samples_of(places(np.random.default_rng(seed)), floor=0.1)
-    found = _improved(density([[320, 240, 30, 75]], [WIDE], [1.0]), seen)
+    found = split_merge(density([[320, 240, 30, 75]], [WIDE], [1.0]), seen)
     for place in ([300.0, 200, 32, 80], [500, 330, 28, 70]):
         deviation = np.sqrt(np.einsum("mrr->rm", found.covariance))
         near = np.flatnonzero(
@@ -253,8 +253,8 @@ def test_superfluous_components_are_removed():
         [0.4, 0.4, 0.2],
         1e-3,
     )
-    found = _improved(begun, seen)
+    found = split_merge(begun, seen)
     # One for the place; what is spread evenly over the volume is the uniform part's.
     assert len(found) == 1
     assert found.uniform == pytest.approx(60 / 260, abs=0.01)
-    assert len(_fitted(begun, seen)) == 3
+    assert len(fit_em(begun, seen)) == 3

@@ -34,21 +34,21 @@ def test_births_at_a_door_are_learned():
     known = learn_births(states[:, np.isfinite(states[2])], 5000, SIZE)
     assert fewer.gain == pytest.approx(known.gain, abs=1)
     states[2:4] = np.nan
-    with pytest.raises(InputError, match="no birth's velocity is known"):
+    with pytest.raises(InputError, match="no birth has a known velocity"):
         learn_births(states, 5000, SIZE)
 
 
 def test_too_few_samples_are_reported():
-    """As many births as a component needs to exist: half the 27 numbers that it is told by."""
+    """A component needs as many births as half the number of its parameters, 27."""
     born = door(np.random.default_rng(3), 14)
     assert learn_births(born, 100, SIZE).learned.samples == 14
     for learn, arguments, words in (
         (learn_births, (born[:, 1:], 100, SIZE), "at least 14 births"),
-        (learn_births, (born, 0, SIZE), "some length"),
+        (learn_births, (born, 0, SIZE), "expected a duration above 0"),
         (
             learn_boxes,
             (np.ones((4, 9)), 40, SIZE, OBJECT_BOXES),
-            "at least 10 objects .*, got 9.* Look at",
+            "at least 10 objects .*, got 9.* Check",
         ),
         (
             learn_boxes,
@@ -58,7 +58,7 @@ def test_too_few_samples_are_reported():
         (
             learn_boxes,
             (np.ones((4, 20)), 0, SIZE, FALSE_BOXES),
-            "expected frames on which detections were looked at, got 0",
+            "expected frames on which detections were checked, got 0",
         ),
     ):
         with pytest.raises(InputError, match=words):

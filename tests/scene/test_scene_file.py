@@ -66,7 +66,7 @@ def test_scene_parts_are_optional(tmp_path):
         (lambda document: document.update(format=7), "format 1, got 7"),
         (lambda document: document.pop("width"), "KeyError 'width'"),
         (lambda document: document["clutter"].update(rate=-1), "a rate from 0"),
-        (lambda document: document["clutter"].update(weight=[0.4]), "of sum 1"),
+        (lambda document: document["clutter"].update(weight=[0.4]), "with sum 1"),
         (
             lambda document: document["births"].update(low=[0, 0]),
             "from 0 and 6 components, got 0.02 and 2",

@@ -1,6 +1,4 @@
-"""Learned scenes: where targets are born and where a detector is wrong, as training has taught [M09
-§IV].
-"""
+"""Learned scenes: densities of births, of false alarms and of objects [M09 §IV]."""
 
 from phdtrack.scene.em import grid, learn
 from phdtrack.scene.mixture import SceneDensity, marginal, shown_volume

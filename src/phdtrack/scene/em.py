@@ -2,27 +2,27 @@
 and merge moves.
 
 Equations of the first [M09 §IV-B, (16)-(20); Z04]: docs/methods.md, A learned scene; β is the rate,
-and τ = N/2, N the number of parameters of a component. What the paper leaves open:
+and τ = N/2, N the number of parameters of a component. Choices that the paper leaves open:
 
-* The rule needs β < 1/(Mτ), 6e-4 with the paper's grids, so that one pass over a few hundred
-  samples hardly moves a weight. The samples are taken in several passes, each in another order,
-  with β = min(1/n, ½/(Mτ)) for n samples. Then the estimate settles: without the prior, with a rate
-  that falls like 1/k.
-* β o_m/π_m stays below 1, and F, a small diagonal, keeps every covariance above itself.
-* Samples may have gaps (NaN): a birth that a person marked has a place but no velocity. A gap is
+* The rule needs β < 1/(Mτ), 6e-4 with the paper's grids: one pass over a few hundred samples hardly
+  changes a weight. So there are several passes over the samples, each in another order, with
+  β = min(1/n, ½/(Mτ)) for n samples. Final passes without the prior, with a rate that falls like
+  1/k, let the estimate settle.
+* β o_m/π_m stays below 1, and F, a small diagonal, is a lower bound of every covariance.
+* Samples may have gaps (NaN): a birth that a person marked has a position but no velocity. Gaps are
   filled from the nearest complete sample.
-* α_u begins at 1 − 1e-3, because from 1 nothing is ever learned, and stays within [1e-3, 1 − 1e-3].
+* α_u starts at 1 − 1e-3, because nothing is ever learned from 1, and stays in [1e-3, 1 − 1e-3].
 
-The recursion ends in a local optimum. EM for the whole model, uniform part included, then tries
-moves: a component goes; one is split along its longest axis; a new one begins where samples crowd.
-The move that makes
+The recursion ends in a local optimum. EM for the whole model, including the uniform part, then
+tries moves: remove a component; split one along its longest axis; add one in a crowd of samples.
+The move that minimises
 
     −log p(x_1 … x_n) + Σ_m τ [log n_m + (d + 2)/(n_m − d − 2)] + M/2 log n
 
-smallest stays, if it makes it smaller: the N parameters of a component are known from the n_m
-samples that it explains, and its weight from all [S78]. The fraction is half of the correction for
-few samples [B94]: with all of it eight marks are no place, and with none of it eight samples that
-lie together by chance are one.
+is kept if it lowers this: the N parameters of a component are estimated from the n_m samples that
+it explains, and its weight from all samples [S78]. The fraction is half of the correction for few
+samples [B94]: with the full correction eight marks are not enough for a component, and without it
+eight samples that lie together by chance are.
 """
 
 from __future__ import annotations
@@ -47,32 +47,32 @@ from phdtrack.scene.mixture import SceneDensity, marginal
 from phdtrack.types import F8, I8
 
 MIN_UNIFORM = 1e-3
-# Standard deviations of F as parts of the samples' own; split and merge moves at most.
+# Standard deviations of F as shares of those of the samples; largest number of moves.
 FLOOR = 0.01
 MAX_MOVES = 20
 _EACH = np.ones(1)
-# Samples taken at the steady rate, at most; passes while the rate falls.
-MAX_TAKEN = 1_000_000
+# Largest number of recursion steps at the constant rate; passes at the falling rate.
+MAX_RECURSIONS = 1_000_000
 SETTLING_PASSES = 20
-# EM has converged where a step gains fewer nats; steps at most.
+# EM has converged when a step gains fewer nats; largest number of steps.
 CONVERGED = 1e-3
 MAX_STEPS = 200
-# Steps of EM after which moves are compared, and for a new component; how many of the best moves
-# are fitted wholly.
+# Steps of EM before moves are compared, and for a new component; number of the best moves that are
+# fitted to convergence.
 TRIAL_STEPS = 5
 NEW_STEPS = 10
 FULL_TRIALS = 2
-# Samples among which crowds are looked for, at most: the time grows with their number squared.
+# Largest number of samples that are searched for crowds: the time is quadratic in it.
 MAX_CROWD_SAMPLES = 1000
 
 
 def learn(density: SceneDensity, samples: F8) -> SceneDensity:
-    """``density``, where learning begins, after the samples (d, n), NaN where one does not show a
-    component.
+    """Learn a density from the samples (d, n), starting from ``density``; NaN marks components
+    that a sample does not have.
 
-    It is the same for the same samples, and ``density`` itself where there is nothing to learn
-    from. Samples outside the volume are left out. Raises `InputError` for samples of another
-    dimension, infinite or without any component, and where there are no Gaussians to move.
+    The result is deterministic, and ``density`` itself without samples. Samples outside the volume
+    are ignored. Raises `InputError` for samples of another dimension, infinite or without any
+    component, and for a ``density`` without Gaussians.
     """
     _check_samples(density, samples)
     used = density.contains(np.where(np.isnan(samples), density.low[:, None], samples))
@@ -82,11 +82,11 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
         return density
     tau = parameters(density.dim) / 2
     rng = np.random.default_rng(0)
-    # The first pass takes the memory of the slowest rate, 2Mτ samples; the weights of two equal
-    # components, one of which is to go, part like exp(2τk/n).
+    # The memory of the slowest rate is 2Mτ samples; the weights of two equal components, one of
+    # which should vanish, separate like exp(2τk/n).
     passes = min(
         max(20, math.ceil(6 * len(density) * tau / n), math.ceil(1.5 * n / tau)),
-        max(5, MAX_TAKEN // n),
+        max(5, MAX_RECURSIONS // n),
     )
     order = np.concatenate(
         [rng.permutation(n) for _ in range(passes + min(passes, SETTLING_PASSES))]
@@ -94,16 +94,16 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
     x = _filled(x)
     extent = density.high - density.low
     mean = x.mean(axis=1)[:, None]
-    least: F8 = np.maximum(FLOOR**2 * np.square(x - mean).mean(axis=1), (1e-4 * extent) ** 2)
-    left, uniform = recursive_em(
+    floor: F8 = np.maximum(FLOOR**2 * np.square(x - mean).mean(axis=1), (1e-4 * extent) ** 2)
+    gaussians, uniform = recursive_em(
         Gaussians(density.weight, density.mean, density.covariance),
         min(density.uniform, 1 - MIN_UNIFORM),
         np.ascontiguousarray(x.T),
         order,
-        Recursion(tau, float(n), MIN_UNIFORM, float(np.log(extent).sum()), passes * n, least),
+        Recursion(tau, float(n), MIN_UNIFORM, float(np.log(extent).sum()), passes * n, floor),
     )
-    found = SceneDensity(density.low, density.high, uniform, *left)
-    return _improved(found, Samples(x, least))
+    start = SceneDensity(density.low, density.high, uniform, *gaussians)
+    return split_merge(start, Samples(x, floor))
 
 
 def grid(
@@ -114,15 +114,15 @@ def grid(
     spread: F8,
     uniform: float = 1 - MIN_UNIFORM,
 ) -> SceneDensity:
-    """A density of counts[0] × counts[1] Gaussians of equal weight over the positions, where
-    learning begins [M09 §IV-B].
+    """A density of counts[0] × counts[1] Gaussians of equal weight over the positions, from which
+    learning starts [M09 §IV-B].
 
-    M09 takes 12 × 10 for births and 16 × 14 for false alarms.
+    M09 uses 12 × 10 for births and 16 × 14 for false alarms.
 
     Parameters
     ----------
     low, high : (d,) bounds of the volume; rows 0 and 1 are the position.
-    counts : Gaussians across and down; in position each is as wide as the grid's step.
+    counts : Gaussians across and down; their standard deviation is the step of the grid.
     centre, spread : (d,) mean and standard deviation of the other components (mean size, zero
         velocity).
     uniform : α_u.
@@ -152,7 +152,7 @@ def limited_uniform(share: float) -> float:
 
 
 def best_uniform(log_ratio: F8) -> float:
-    """α_u of the greatest likelihood within its limits, by EM, for (n,) `SceneDensity.log_ratio` at
+    """α_u of maximum likelihood within its limits, by EM, for the (n,) `SceneDensity.log_ratio` of
     the samples.
     """
     ratio = np.exp(np.minimum(700.0, log_ratio))
@@ -163,31 +163,31 @@ def best_uniform(log_ratio: F8) -> float:
 
 
 class Samples(NamedTuple):
-    """Samples ``x`` (d, n), and ``floor`` (d,) that is added to variances."""
+    """Samples ``x`` (d, n), and the ``floor`` (d,) that is added to variances."""
 
     x: F8
     floor: F8
 
     @property
     def total(self) -> float:
-        """How many there are."""
+        """Their number."""
         return float(self.x.shape[1])
 
 
 def moments(p: SceneDensity, samples: Samples) -> Moments:
-    """One step of EM for p, its uniform part included. Truncation is left out."""
+    """One step of EM for p, including its uniform part; ignores truncation."""
     mixture = Gaussians((1 - p.uniform) * p.weight, p.mean, p.covariance)
     n = samples.x.shape[1]
     flat = np.full(n, math.log(p.flat))
-    found: Moments = em_step(
+    updated: Moments = em_step(
         samples.x, _EACH, flat, mixture, one_block(n, len(p)), nothing_known(p.dim)
     )
-    return found._replace(covariance=found.covariance + np.diag(samples.floor))
+    return updated._replace(covariance=updated.covariance + np.diag(samples.floor))
 
 
-def _fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneDensity:
-    """``p`` after at most so many steps of EM; components that explain less than τ samples go, all
-    but the last.
+def fit_em(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneDensity:
+    """Fit ``p`` by at most ``steps`` steps of EM. Components that explain less than τ samples are
+    removed, except the last.
     """
     before = -math.inf
     for _ in range(steps):
@@ -206,56 +206,53 @@ def _fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneD
     return p
 
 
-def _improved(p: SceneDensity, samples: Samples) -> SceneDensity:
-    """``p`` fitted to the samples, after split and merge moves."""
-    p = _fitted(p, samples)
+def split_merge(p: SceneDensity, samples: Samples) -> SceneDensity:
+    """Fit ``p`` by split–merge EM."""
+    p = fit_em(p, samples)
     length = criterion(p, samples)
     for _ in range(MAX_MOVES):
-        trials = [_fitted(trial, samples, TRIAL_STEPS) for trial in _moved(p, samples)]
+        trials = [fit_em(trial, samples, TRIAL_STEPS) for trial in _moves(p, samples)]
         best = np.argsort([criterion(trial, samples) for trial in trials])[:FULL_TRIALS]
-        found = [
-            (criterion(trial, samples), trial)
-            for trial in (_fitted(trials[i], samples) for i in best)
-        ]
-        shortest, better = min(found, key=lambda one: one[0])
-        if not shortest < length - CONVERGED:
+        fitted = [fit_em(trials[i], samples) for i in best]
+        lengths = [criterion(trial, samples) for trial in fitted]
+        shortest = int(np.argmin(lengths))
+        if not lengths[shortest] < length - CONVERGED:
             break
-        p = better
-        length = shortest
+        p = fitted[shortest]
+        length = lengths[shortest]
     return p
 
 
 def criterion(p: SceneDensity, samples: Samples) -> float:
-    """What moves make smaller, nats [S78; B94]."""
+    """The description length that moves minimise, nats [S78; B94]."""
     tau = parameters(p.dim) / 2
     n = np.maximum(samples.total * (1 - p.uniform) * p.weight, tau)
-    price = tau * (np.log(n) + (p.dim + 2) / (n - p.dim - 2)) + 0.5 * math.log(samples.total)
-    return float(price.sum()) - moments(p, samples).log_likelihood
+    penalty = tau * (np.log(n) + (p.dim + 2) / (n - p.dim - 2)) + 0.5 * math.log(samples.total)
+    return float(penalty.sum()) - moments(p, samples).log_likelihood
 
 
-def _moved(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
-    """What each of the moves makes of ``p``."""
-    each = range(len(p))
+def _moves(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
+    """The results of all moves from ``p``."""
+    results = []
     if len(p) > 1:
-        without = [_without(p, np.array([m])) for m in each]
-    else:
-        without = []
-    return [*without, *(_split(p, m) for m in each), *_with_crowds(p, samples)]
+        results += [_without(p, np.array([m])) for m in range(len(p))]
+    results += [_split(p, m) for m in range(len(p))]
+    return results + _with_crowds(p, samples)
 
 
-def _without(p: SceneDensity, which: I8) -> SceneDensity:
-    """``p`` without the components ``which``."""
-    weight = np.delete(p.weight, which)
-    mean = np.delete(p.mean, which, axis=1)
-    covariance = np.delete(p.covariance, which, axis=0)
+def _without(p: SceneDensity, removed: I8) -> SceneDensity:
+    """``p`` without the components ``removed``."""
+    weight = np.delete(p.weight, removed)
+    mean = np.delete(p.mean, removed, axis=1)
+    covariance = np.delete(p.covariance, removed, axis=0)
     return replace(p, weight=weight / weight.sum(), mean=mean, covariance=covariance)
 
 
 def _split(p: SceneDensity, m: int) -> SceneDensity:
-    """``p`` with component m in two halves along the longest axis of its correlation matrix."""
+    """``p`` with component m split along the longest axis of its correlation matrix."""
     deviation = np.sqrt(np.diag(p.covariance[m]))
     values, vectors = np.linalg.eigh(p.covariance[m] / np.outer(deviation, deviation))
-    # The mean of half a normal distribution is √(2/π) deviations from its middle.
+    # The mean of half a normal distribution is √(2/π) standard deviations from its centre.
     step = math.sqrt(2 / math.pi * values[-1]) * vectors[:, -1] * deviation
     half = p.covariance[m] - np.outer(step, step)
     weight = np.append(np.delete(p.weight, m), np.full(2, p.weight[m] / 2))
@@ -269,14 +266,14 @@ def _split(p: SceneDensity, m: int) -> SceneDensity:
 
 
 def _with_crowds(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
-    """``p`` with one more component, fitted while ``p`` stays as it is: each begins in another
-    crowd of samples.
+    """The densities with one more component, each fitted to another crowd of samples while the
+    components of ``p`` stay fixed.
     """
     n = samples.x.shape[1]
     x = samples.x
     floor = np.diag(samples.floor)
     parts = p.log_parts(x)
-    found = []
+    results = []
     log_density = np.logaddexp.reduce(parts, axis=0)
     for near in _crowds(p, np.argmax(parts, axis=0), x, samples.floor):
         share = len(near) / n
@@ -291,21 +288,19 @@ def _with_crowds(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
             share = min(float(now.mass[0]) / samples.total, 0.5)
         if share * samples.total > parameters(p.dim) / 2:
             uniform = (1 - share) * p.uniform
-            all_weights = np.append((1 - share) * (1 - p.uniform) * p.weight, share) / (1 - uniform)
-            all_covariances = np.concatenate([p.covariance, cov])
-            found.append(
-                SceneDensity(
-                    p.low, p.high, uniform, all_weights, np.hstack([p.mean, mean]), all_covariances
-                )
-            )
-    return found
+            weight = np.append((1 - share) * (1 - p.uniform) * p.weight, share) / (1 - uniform)
+            means = np.hstack([p.mean, mean])
+            covariances = np.concatenate([p.covariance, cov])
+            results.append(SceneDensity(p.low, p.high, uniform, weight, means, covariances))
+    return results
 
 
 def _crowds(p: SceneDensity, owner: I8, x: F8, floor: F8) -> list[I8]:
-    """Of the samples x (d, n) of each part, ``owner`` (n,), those around the one that lies in the
-    densest unexplained crowd.
+    """For each part of the mixture, the densest crowd among the samples x (d, n) that it owns:
+    indices of samples. ``owner`` (n,) is the part that explains each sample best.
 
-    A crowd are the nearest samples in position, as many as a component must explain.
+    A crowd is a sample with its nearest neighbours in position, as many as a component must
+    explain. Its density is compared with that of the mixture.
     """
     k = math.ceil(parameters(p.dim) / 2) + 1
     place = np.ascontiguousarray(x[:2, :MAX_CROWD_SAMPLES])
@@ -317,22 +312,21 @@ def _crowds(p: SceneDensity, owner: I8, x: F8, floor: F8) -> list[I8]:
     near = np.argpartition(distance2, k - 1, axis=1)[:, :k]
     radius2 = np.maximum(np.take_along_axis(distance2, near, axis=1).max(axis=1), 1e-12)
     score = -np.log(radius2) - marginal(p, (0, 1)).log(place)
-    members = (np.flatnonzero(owner == part) for part in np.unique(owner))
-    return [near[those[np.argmax(score[those])]] for those in members]
+    owned_samples = (np.flatnonzero(owner == part) for part in np.unique(owner))
+    return [near[owned[np.argmax(score[owned])]] for owned in owned_samples]
 
 
 def _filled(x: F8) -> F8:
-    """Samples (d, n) whose gaps are filled from the nearest complete one, with 0 where there is
+    """Fill the gaps of samples (d, n) from the nearest complete sample, or with 0 if there is
     none.
     """
     gaps = np.isnan(x)
     complete = x[:, ~gaps.any(axis=0)]
     out = np.where(gaps, 0.0, x)
-    if complete.shape[1]:
-        scale = np.maximum(complete.std(axis=1), 1e-150)
-    else:
-        scale = np.zeros(0)
-    for j in np.flatnonzero(gaps.any(axis=0)) if complete.shape[1] else ():
+    if not complete.shape[1]:
+        return out
+    scale = np.maximum(complete.std(axis=1), 1e-150)
+    for j in np.flatnonzero(gaps.any(axis=0)):
         step = np.where(gaps[:, j], 0.0, (complete - out[:, [j]]).T / scale)
         nearest = np.argmin(np.square(step).sum(axis=1))
         out[gaps[:, j], j] = complete[gaps[:, j], nearest]
@@ -340,20 +334,20 @@ def _filled(x: F8) -> F8:
 
 
 def _check_samples(density: SceneDensity, samples: F8) -> None:
-    """Raise `InputError` where the learner cannot take the samples."""
+    """Raise `InputError` if nothing can be learned from the samples."""
     if samples.ndim != 2 or len(samples) != density.dim:
         raise InputError(
             f"expected samples ({density.dim}, n), got shape {samples.shape}", where="samples"
         )
     if np.isinf(samples).any() or np.isnan(samples).all(axis=0).any():
         raise InputError(
-            "every sample must be finite in what it shows, and show something",
+            "every sample needs at least one component, and no infinite one",
             where="samples",
-            cure="Leave the others out",
+            cure="Omit the others",
         )
     if len(density) == 0:
         raise InputError(
-            "a density without Gaussians learns nothing",
+            "a density without Gaussians cannot learn",
             where="density",
-            cure="Begin with scene.grid(…)",
+            cure="Start with scene.grid(…)",
         )

@@ -1,10 +1,10 @@
 """The density of a scene's births or false alarms: a uniform part and truncated Gaussians [M09
 (14), (15), (21)].
 
-Equations: docs/methods.md, A learned scene. The volume is a box, low ≤ x ≤ high, outside of which p
-is 0. Z_m, the mass of the m-th Gaussian inside, is computed by separation of variables [A. Genz,
+Equations: docs/methods.md, A learned scene. The volume is a box, low ≤ x ≤ high; outside of it p is
+0. Z_m, the mass of the m-th Gaussian inside, is computed by separation of variables [A. Genz,
 *Numerical computation of multivariate normal probabilities*, J. Comp. Graph. Stat. 1 (1992)] on a
-lattice of fixed points; for independent components it is exact.
+fixed lattice; for independent components it is exact.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from phdtrack.errors import InputError
 from phdtrack.kernels.mixtures import Gaussians, Whitened, log_densities, whitened
 from phdtrack.types import F8, Bool
 
-# A Gaussian with less mass inside counts as outside.
+# A Gaussian with less mass inside the volume counts as outside.
 MIN_TRUNCATED_MASS = 1e-6
-# Components of a box state that a measurement shows: all but the two velocities.
+# Components of a box state that are measured: all except the two velocities.
 OBSERVED = (0, 1, 4, 5)
 # Richtmyer's lattice: multiples of the square roots of primes, folded.
 _LATTICE = np.sqrt(np.array([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0]))
@@ -30,14 +30,16 @@ _POINTS = 512
 
 @dataclass(frozen=True, eq=False)
 class SceneDensity:
-    """p(x) on a volume. Raises `InputError` where shapes do not fit, or bounds, shares or
-    covariances are none.
+    """p(x) on a volume. Raises `InputError` if shapes do not fit, or bounds, shares or covariances
+    are invalid.
 
     Attributes
     ----------
     low, high : (d,) bounds of the volume.
     uniform : α_u, share of the uniform part.
-    weight : (M,) π_m, of sum 1.     mean : (d, M).     covariance : (M, d, d).
+    weight : (M,) π_m, of sum 1.
+    mean : (d, M).
+    covariance : (M, d, d).
     """
 
     low: F8
@@ -65,9 +67,9 @@ class SceneDensity:
 
     @cached_property
     def has_places(self) -> bool:
-        """Whether it says where: more than a hundredth is not uniform, and some position is three
-        times as likely as on average. One Gaussian fitted to uniform positions is 1.9 times as
-        likely in its middle."""
+        """True if the density is informative about positions: more than a hundredth is not
+        uniform, and some position is three times as likely as the average. A Gaussian fitted to
+        uniform positions is 1.9 times as likely in its middle."""
         place = marginal(self, (0, 1))
         return self.uniform < 0.99 and bool(
             (place(place.mean) * place.volume).max(initial=0.0) >= 3
@@ -81,7 +83,7 @@ class SceneDensity:
     @cached_property
     def truncated_mass(self) -> F8:
         """(M,) Z_m, the mass of each Gaussian inside the volume."""
-        return _mass_inside(self.mean, self.covariance, self.low, self.high)
+        return mass_inside(self.mean, self.covariance, self.low, self.high)
 
     @cached_property
     def flat(self) -> float:
@@ -90,12 +92,9 @@ class SceneDensity:
 
     @cached_property
     def gaussians(self) -> Gaussians:
-        """The Gaussians, untruncated, with weights α_g π_m / Z_m; 0 for one that counts as
-        outside.
-        """
-        weight = (
-            (1 - self.uniform) * self.weight / np.maximum(self.truncated_mass, MIN_TRUNCATED_MASS)
-        )
+        """The untruncated Gaussians with weights α_g π_m / Z_m; 0 for those outside."""
+        mass = np.maximum(self.truncated_mass, MIN_TRUNCATED_MASS)
+        weight = (1 - self.uniform) * self.weight / mass
         inside = self.truncated_mass > MIN_TRUNCATED_MASS
         return Gaussians(
             weight * inside, np.ascontiguousarray(self.mean), np.ascontiguousarray(self.covariance)
@@ -103,26 +102,26 @@ class SceneDensity:
 
     @cached_property
     def _whitened(self) -> Whitened:
-        """The Gaussians, ready to be evaluated."""
+        """The Gaussians, prepared for evaluation."""
         out: Whitened = whitened(self.gaussians)
         return out
 
     def log_parts(self, x: F8) -> F8:
-        """(1 + M, L) logarithms of the uniform part and of each Gaussian at ``x`` (d, L), as if
-        there were no border.
+        """(1 + M, L) logarithms of the uniform part and of each Gaussian at ``x`` (d, L), also
+        outside the volume.
         """
-        found: F8 = log_densities(np.ascontiguousarray(x), self._whitened)
-        return np.vstack([np.full((1, x.shape[1]), math.log(self.flat)), found])
+        gaussians: F8 = log_densities(np.ascontiguousarray(x), self._whitened)
+        return np.vstack([np.full((1, x.shape[1]), math.log(self.flat)), gaussians])
 
     def log_ratio(self, x: F8) -> F8:
-        """(L,) logarithm of the Gaussians' density over the uniform one, 1/V, at ``x`` (d, L),
-        whatever their shares.
+        """(L,) logarithm of the ratio of the Gaussians' density, normalised, to the uniform
+        density 1/V at ``x`` (d, L).
         """
         gaussians: F8 = np.logaddexp.reduce(self.log_parts(x)[1:], axis=0)
         return gaussians - math.log((1 - self.uniform) / self.volume)
 
     def contains(self, x: F8) -> Bool:
-        """(L,) whether the columns of ``x`` (d, L) lie in the volume."""
+        """(L,) True for columns of ``x`` (d, L) in the volume."""
         return np.asarray(
             np.logical_and.reduce((x >= self.low[:, None]) & (x <= self.high[:, None]), axis=0)
         )
@@ -132,9 +131,9 @@ class SceneDensity:
         return np.where(self.contains(x), np.logaddexp.reduce(self.log_parts(x), axis=0), -math.inf)
 
     def __call__(self, x: F8, outside: float = 0.0) -> F8:
-        """(L,) p at the columns of ``x`` (d, L), and ``outside`` where they lie outside the volume.
+        """(L,) p at the columns of ``x`` (d, L), and ``outside`` for those outside the volume.
 
-        Raises `InputError` where x has another dimension.
+        Raises `InputError` if x has another dimension.
         """
         if len(x) != self.dim:
             raise InputError(f"expected {self.dim} components, got {len(x)}", where="SceneDensity")
@@ -145,13 +144,13 @@ class SceneDensity:
         return self._summed(x, 0.0, 0.0)
 
     def _summed(self, x: F8, flat: float, outside: float) -> F8:
-        """(L,) ``flat`` and the Gaussians in the volume, and ``outside`` elsewhere."""
+        """(L,) ``flat`` plus the Gaussians in the volume, and ``outside`` elsewhere."""
         each = log_densities(np.ascontiguousarray(x), self._whitened)
         return np.where(self.contains(x), flat + np.exp(each, out=each).sum(axis=0), outside)
 
 
 def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
-    """The density of the components ``rows``; the truncation at the other borders is left out."""
+    """The marginal density of the components ``rows``; truncation in the others is ignored."""
     keep = list(rows)
     return SceneDensity(
         p.low[keep],
@@ -172,9 +171,9 @@ def shown_volume(p: SceneDensity) -> float:
     return marginal(p, OBSERVED).volume
 
 
-def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
+def mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
     """(M,) masses of Gaussians, d ≤ 8, in the box from ``low`` to ``high``, accurate to about 1e-3
-    for states.
+    for box states.
     """
     from scipy.special import ndtr, ndtri
 
@@ -192,22 +191,22 @@ def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
         above = ndtr((high[r] - shift) / scale)
         product *= above - below
         if r < d - 1:
-            # Where nothing is left the point does not matter; ndtri must not be given 0 or 1.
+            # Without mass the point does not matter, but ndtri must not get 0 or 1.
             y[r] = ndtri(np.clip(below + lattice[r] * (above - below), 1e-300, 1 - 1e-16))
     return np.asarray(product.mean(axis=1))
 
 
 def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
-    """Map of where p's Gaussians lie, all sizes and velocities together, with largest value 1 [M09
+    """A map of p's Gaussians by position, for all sizes and velocities, with largest value 1 [M09
     Figs. 7, 8].
 
-    A quarter of the mean size is added as deviation, because what happens at a place is seen as a
-    box and not as its centre.
+    A quarter of the mean size is added as standard deviation, because boxes cover more than their
+    centre.
 
     Parameters
     ----------
     p : the density; its last two components are width and height.
-    shape : rows and columns of the map, which begins at p's lower bounds.
+    shape : rows and columns of the map, whose corner is at p's lower bounds.
     step : side of a cell, pixels.
     """
     cov = p.covariance.copy()
@@ -217,13 +216,13 @@ def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
     down, across = np.meshgrid(
         (np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij"
     )
-    at = np.stack([across.ravel(), down.ravel()]) + place.low[:, None]
-    likely = np.exp(place.log_parts(at)[1:]).sum(axis=0)
-    return np.asarray((likely / max(likely.max(initial=0.0), 1e-300)).reshape(shape))
+    positions = np.stack([across.ravel(), down.ravel()]) + place.low[:, None]
+    density = np.exp(place.log_parts(positions)[1:]).sum(axis=0)
+    return np.asarray((density / max(density.max(initial=0.0), 1e-300)).reshape(shape))
 
 
 def _problem(p: SceneDensity) -> str:
-    """What is wrong with it, or nothing."""
+    """A sentence on the first problem of the density, "" if there is none."""
     d = len(p.low)
     m = len(p.weight)
     parts = (p.low, p.high, p.weight, p.mean, p.covariance)
@@ -233,15 +232,15 @@ def _problem(p: SceneDensity) -> str:
     if not all(np.isfinite(part).all() for part in parts):
         return "every number must be finite"
     if not (p.high > p.low).all():
-        return f"every bound above must exceed the one below, got {p.low} and {p.high}"
+        return f"every upper bound must exceed the lower one, got {p.low} and {p.high}"
     if not 0 < p.uniform <= 1:
         return f"the share of the uniform part must be above 0 and at most 1, got {p.uniform:g}"
     if m == 0:
         if p.uniform == 1:
             return ""
-        return "without Gaussians the uniform part has the share 1"
+        return "without Gaussians the uniform part must have the share 1"
     if (p.weight < 0).any() or abs(p.weight.sum() - 1) > 1e-9:
-        return f"the Gaussians' weights must be from 0 and of sum 1, got {p.weight.sum():.12g}"
+        return f"the Gaussians' weights must be 0 or more with sum 1, got {p.weight.sum():.12g}"
     if (np.linalg.eigvalsh(p.covariance) <= 0).any():
         return "every covariance must be positive definite"
     return ""

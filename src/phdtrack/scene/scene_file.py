@@ -6,8 +6,8 @@
      "clutter": the same with r̄ and four components, "followed": {"share": λ, "objects": the same},
      "notes": {…}}
 
-Rates are births per time unit, of which ``rate`` make a second, and false alarms, or detections of
-objects, per frame. Every part may be missing.
+Rates are births per time unit (``rate`` time units are a second), and false alarms or detections of
+objects per frame. Every part may be missing.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FORMAT = 1
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedDensity:
     """A ``density`` with its ``rate``, s̄ (births per time unit), r̄ (false alarms per frame) or
-    detections of objects per frame, and the number of ``samples`` that it was learned from."""
+    detections of objects per frame, and the number of ``samples`` it was learned from."""
 
     rate: float
     density: SceneDensity
@@ -40,10 +40,9 @@ class LearnedDensity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedObjects:
-    """What a tracker follows besides targets: the ``share`` of false alarms that become tracks, and
-    where ``objects`` are.
+    """The ``share`` of false alarms that become tracks, and the density of ``objects``.
 
-    A share of 0 stands for a scene whose detections were not looked at: then no track is withheld.
+    A share of 0 means that nobody checked the detections of the scene: then no track is withheld.
     """
 
     share: float
@@ -52,17 +51,16 @@ class TrackedObjects:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What was learned of a scene.
+    """The densities that were learned from a scene.
 
     Attributes
     ----------
     width, height : of the video in pixels.
     rate : time units per second of the births.
     source : the video or the detections that it was learned from.
-    births, clutter : what was learned; None where there was too little.
-    notes : other figures, such as held-out log-likelihoods: names and plain values.
-    followed : false alarms and objects that become tracks; None where too few detections were
-        looked at.
+    births, clutter : the learned densities; None if there were too few samples.
+    notes : other figures by name, such as held-out log-likelihoods.
+    followed : false alarms and objects that become tracks; None if too few detections were checked.
     """
 
     width: int
@@ -76,29 +74,30 @@ class Scene:
 
 
 def write_scene(path: Path, scene: Scene) -> None:
-    """Write a scene, whole or not at all."""
+    """Write a scene, completely or not at all."""
     document = {
         "format": FORMAT,
         **{name: getattr(scene, name) for name in ("width", "height", "rate", "source")},
-        "births": scene.births and _plain(scene.births),
-        "clutter": scene.clutter and _plain(scene.clutter),
-        "followed": scene.followed
-        and {"share": scene.followed.share, "objects": _plain(scene.followed.objects)},
+        "births": _plain(scene.births),
+        "clutter": _plain(scene.clutter),
+        "followed": None,
         "notes": dict(scene.notes),
     }
+    if scene.followed:
+        objects = _plain(scene.followed.objects)
+        document["followed"] = {"share": scene.followed.share, "objects": objects}
     write_text(path, json.dumps(document, indent=1) + "\n")
 
 
 def read_scene(path: Path) -> Scene:
-    """The scene in a file. Raises `InputError` where there is none, or it is no scene."""
+    """Read a scene. Raises `InputError` if the file is missing or is not a learned scene."""
     document = read_json(path, load(path))
     if not isinstance(document, dict) or document.get("format") != FORMAT:
+        got = type(document).__name__
         if isinstance(document, dict):
-            found = document.get("format")
-        else:
-            found = type(document).__name__
+            got = reprlib.repr(document.get("format"))
         raise InputError(
-            f"expected a learned scene of format {FORMAT}, got {reprlib.repr(found)}",
+            f"expected a learned scene of format {FORMAT}, got {got}",
             where=path,
             cure="Learn it again",
         )
@@ -114,15 +113,18 @@ def read_scene(path: Path) -> Scene:
             _followed(document.get("followed")),
         )
     except (InputError, KeyError, TypeError, ValueError, OverflowError) as error:
+        reason = f"{type(error).__name__} {error}"
         if isinstance(error, InputError):
-            what = str(error)
-        else:
-            what = f"{type(error).__name__} {error}"
-        raise InputError(f"no learned scene: {what}", where=path, cure="Learn it again") from None
+            reason = str(error)
+        raise InputError(
+            f"not a learned scene: {reason}", where=path, cure="Learn it again"
+        ) from None
 
 
-def _plain(learned: LearnedDensity) -> dict[str, Any]:
-    """A density as JSON has it."""
+def _plain(learned: LearnedDensity | None) -> dict[str, Any] | None:
+    """A density in the types of JSON."""
+    if learned is None:
+        return None
     p = learned.density
     arrays = {
         "low": p.low,
@@ -136,7 +138,7 @@ def _plain(learned: LearnedDensity) -> dict[str, Any]:
 
 
 def _learned(document: Any, dim: int) -> LearnedDensity | None:
-    """A density of ``dim`` components; None where there is none."""
+    """The density of ``dim`` components in JSON; None for None."""
     if document is None:
         return None
     low, high, weight = (np.array(document[name], np.float64) for name in ("low", "high", "weight"))
@@ -154,10 +156,9 @@ def _learned(document: Any, dim: int) -> LearnedDensity | None:
 
 
 def _followed(document: Any) -> TrackedObjects | None:
-    """What is followed; None also for scenes that were written before there was any."""
-    if document is None:
-        objects = None
-    else:
+    """The part ``followed`` in JSON; None if it is missing, as in older files."""
+    objects = None
+    if document is not None:
         objects = _learned(document["objects"], 4)
     if objects is None:
         return None

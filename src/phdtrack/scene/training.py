@@ -1,16 +1,15 @@
-"""Scene training: a density of births, false alarms or objects from the samples of a stretch [M09
-§IV, §V].
+"""Scene training: a density of births, false alarms or objects from samples of a training video
+[M09 §IV, §V].
 
 Births are learned from the first states of tracks, false alarms from detections that a person
-marked. How well a density fits is the log-likelihood of samples that it has not seen, less that of
-the uniform density: every fifth sample is left out, a density is learned from the others, and
-asked; where samples are few each is left out once. The density that is kept learns from all. Three
-things keep it from trusting few samples too much:
+marked. The goodness of fit is the log-likelihood of held-out samples minus that of the uniform
+density, by cross-validation: every fifth sample is held out; if there are few samples, each is held
+out once. The final density learns from all samples. Three measures against overfitting:
 
-* Its uniform part has at least the share α_u that makes the unseen samples likeliest.
+* Its uniform part has at least the share α_u that maximises the likelihood of held-out samples.
 * Each Gaussian has the covariance of the next sample, not of those it was fitted to [G13 §3.6].
-* A shrinkage prior: α_u is at least 10/(n + 10) for n samples (Laplace's rule), over the sizes that
-  are detected.
+* A shrinkage prior: α_u is at least 10/(n + 10) for n samples (Laplace's rule), over the range of
+  detected sizes.
 """
 
 from __future__ import annotations
@@ -31,21 +30,21 @@ from phdtrack.types import F8, I8, Tracks
 BIRTH_GRID = (12, 10)
 CLUTTER_GRID = (16, 14)
 MIN_SAMPLES = 10
-# τ of births, fewer than which are no component.
+# τ of births: a component needs as many.
 MIN_BIRTHS = math.ceil(parameters(6) / 2)
-# What boxes are, for messages.
+# Names of the samples in messages.
 FALSE_BOXES = "detections marked as false"
 OBJECT_BOXES = "objects on the frames that were looked at"
-# Every so many samples one is left out; up to so many samples each of them is left out in turn.
+# One of so many samples is held out; up to so many samples, all folds are used.
 FOLDS = 5
 MAX_ALL_FOLDS = 400
-# Seconds of a track from which its first velocity is taken.
+# Seconds of a track from which its first velocity is estimated.
 LEAD = 0.4
-# Seconds for which a track must last, and its own sizes that it must go, to teach a birth.
+# Births are learned from tracks of at least this duration, seconds, and distance, in own sizes.
 MIN_DURATION = 1.0
 MIN_DISTANCE = 1.0
-# Samples that the shrinkage prior counts for; how much the range of detected sizes, between two
-# quantiles, is widened.
+# Number of samples that the shrinkage prior is worth; factor by which the range of detected sizes,
+# between two quantiles, is widened.
 PRIOR = 10
 WIDENING = 1.5
 SIZE_QUANTILES = (0.01, 0.99)
@@ -53,7 +52,7 @@ SIZE_QUANTILES = (0.01, 0.99)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Training:
-    """What was learned, and its ``gain``: nats per unseen sample above the uniform density, NaN
+    """A learned density and its ``gain``: nats per held-out sample over the uniform density, NaN
     with too few samples.
     """
 
@@ -62,38 +61,38 @@ class Training:
 
 
 def learn_births(states: F8, time_units: float, frame_size: tuple[float, float]) -> Training:
-    """Births p(x|b) with s̄, their number per time unit. The volume holds every velocity seen,
-    doubled.
+    """Learn births p(x|b) with s̄, their number per time unit. The volume extends to twice the
+    largest observed velocity.
 
     Raises `InputError` for fewer births than a component needs (τ: 14), no time, or no known
     velocity.
 
     Parameters
     ----------
-    states : (6, n) first states of targets that entered; velocities may be NaN, unknown.
-    time_units : length of the stretch.
+    states : (6, n) first states of targets that entered; unknown velocities are NaN.
+    time_units : length of the training video.
     frame_size : width and height of the image, pixels.
     """
-    cure = "Learn from a longer stretch, or mark more of them"
+    cure = "Learn from a longer video, or mark more of them"
     _check_number(states.shape[1], "births while the scene was watched", cure, MIN_BIRTHS)
     if not time_units > 0:
         raise InputError(
-            f"expected a stretch of some length, got {time_units:g} time units",
+            f"expected a duration above 0, got {time_units:g} time units",
             where="learning births",
         )
     speeds = np.abs(states[2:4][np.isfinite(states[2:4])])
     if len(speeds) == 0:
         raise InputError(
-            "no birth's velocity is known",
+            "no birth has a known velocity",
             where="learning births",
-            cure="Mark where detections follow",
+            cure="Mark births that detections follow",
         )
     volume = state_volume(frame_size, 2 * float(speeds.max()) + 1e-6)
     return _trained(_start(states, *volume, BIRTH_GRID), states, states.shape[1] / time_units)
 
 
-def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], what: str) -> Training:
-    """Where boxes come, with their number per frame: false alarms p(z|c), r̄, or detections of
+def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], name: str) -> Training:
+    """Learn a density of boxes and their number per frame: false alarms p(z|c), r̄, or detections of
     objects p(z|o).
 
     Raises `InputError` for fewer than ten boxes, or no frames.
@@ -101,32 +100,30 @@ def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], what: s
     Parameters
     ----------
     boxes : array (4, n), centre and size of the boxes.
-    frames : number of frames on which detections were looked at.
+    frames : number of frames on which detections were checked.
     frame_size : width and height, pixels.
-    what : what the boxes are, for an error message.
+    name : what messages call the boxes.
     """
-    _check_number(boxes.shape[1], what, "Look at more frames, or mark more of them")
+    _check_number(boxes.shape[1], name, "Check more frames, or mark more of them")
     if frames < 1:
         raise InputError(
-            f"expected frames on which detections were looked at, got {frames}",
+            f"expected frames on which detections were checked, got {frames}",
             where="learning from boxes",
         )
-    return _trained(
-        _start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID),
-        boxes,
-        boxes.shape[1] / frames,
-    )
+    start = _start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID)
+    return _trained(start, boxes, boxes.shape[1] / frames)
 
 
 def box_density(boxes: F8, frame_size: tuple[float, float]) -> SceneDensity:
-    """The density of boxes (4, n) for a picture: how well it fits is not asked, which takes the
-    most time.
+    """The density of boxes (4, n) for a picture, without cross-validation, which takes most of the
+    time.
     """
     return learn(_start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID), boxes)
 
 
 def predictive(p: SceneDensity, samples: float) -> SceneDensity:
-    """The density of the next sample after ``p`` was fitted to so many samples [G13 §3.6].
+    """The predictive density of the next sample after ``p`` was fitted to so many samples [G13
+    §3.6].
 
     The next sample of an unknown Gaussian in d dimensions has Student's density with n − d degrees
     of freedom. The Gaussian nearest to that has (n + 1)/(n − d − 2) times the covariance of the n
@@ -137,13 +134,13 @@ def predictive(p: SceneDensity, samples: float) -> SceneDensity:
 
 
 def with_prior(learned: LearnedDensity, size: F8) -> LearnedDensity:
-    """The density with the shrinkage prior over the range of sizes (2, n) that were detected: the
-    last two components.
+    """The density with the shrinkage prior over the range of detected sizes (2, n), its last two
+    components.
 
     Raises `InputError` without detections.
     """
     if size.shape[1] == 0:
-        raise InputError("there are no detections whose sizes could be known", where="sizes")
+        raise InputError("there are no detections, so their sizes are unknown", where="sizes")
     smallest, largest = np.quantile(size, SIZE_QUANTILES, axis=1)
     density = learned.density
     n = learned.samples
@@ -156,40 +153,37 @@ def with_prior(learned: LearnedDensity, size: F8) -> LearnedDensity:
 
 
 def births_in(tracks: Tracks, fps: float, rate: float, everything: bool = False) -> F8:
-    """(6, n) states (px, py, vx, vy, w, h) in which the tracks began that last and go somewhere;
-    flicker does neither.
+    """(6, n) first states (px, py, vx, vy, w, h) of the tracks that last and move; those of
+    flickering lights do not.
 
-    Tracks of the first frame began before it [M09 §IV].
+    Tracks in the first frame are omitted: they began earlier [M09 §IV].
 
     Parameters
     ----------
     tracks : M rows of corrected tracks.
     fps : frames per second.
     rate : time units per second of the velocities.
-    everything : take all tracks that have a velocity, of three rows, as M09 does.
+    everything : include all tracks of at least three rows, which have a velocity, as in M09.
     """
     box = to_cxcywh(tracks.xyxy)
     order = np.lexsort((tracks.frame, tracks.identity))
     start = np.flatnonzero(np.diff(tracks.identity[order], prepend=-1))
-    opening = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
+    first_frame = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
+    min_rows = 3 if everything else max(5, round(MIN_DURATION * fps))
     states = []
     for rows in np.split(order, start[1:]) if len(order) else []:
-        lasting = (
-            len(rows) >= (3 if everything else max(5, round(MIN_DURATION * fps)))
-            and tracks.frame[rows[0]] > opening
-        )
-        if lasting and (everything or _distance_gone(box[:, rows]) >= MIN_DISTANCE):
-            states.append(
-                first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps)
-            )
+        frame = tracks.frame[rows]
+        lasting = len(rows) >= min_rows and frame[0] > first_frame
+        if lasting and (everything or _distance(box[:, rows]) >= MIN_DISTANCE):
+            states.append(first_state(box[:, rows], (frame - frame[0]) / fps))
     out = np.array(states).reshape(-1, 6).T.copy()
     out[2:4] /= rate
     return out
 
 
-def _distance_gone(box: F8) -> float:
-    """Distance between the medians of the first and last fifth of boxes (4, n) of a track, in its
-    sizes √(wh).
+def _distance(box: F8) -> float:
+    """Distance between the median positions in the first and the last fifth of a track's boxes
+    (4, n), in units of its size √(wh).
     """
     fifth = max(1, box.shape[1] // 5)
     step = np.median(box[:2, -fifth:], axis=1) - np.median(box[:2, :fifth], axis=1)
@@ -198,10 +192,10 @@ def _distance_gone(box: F8) -> float:
 
 def first_state(box: F8, seconds: F8) -> F8:
     """(r + 2,) the first position, the velocity per second, and the other components of a track
-    that shows ``box`` (r, n).
+    with the measurements ``box`` (r, n).
 
-    The velocity is the slope of a line through the first `LEAD` seconds; ``seconds`` (n,) begin at
-    0.
+    The velocity is the slope of the regression line over the first `LEAD` seconds; ``seconds``
+    (n,) start at 0.
     """
     lead = max(3, int((seconds <= LEAD).sum()))
     centred = seconds[:lead] - seconds[:lead].mean()
@@ -223,7 +217,7 @@ def measurement_volume(width: float, height: float) -> tuple[F8, F8]:
 
 
 def _start(samples: F8, low: F8, high: F8, counts: tuple[int, int]) -> SceneDensity:
-    """Where learning begins: mean and deviation of what the samples show, at rest."""
+    """The density from which learning starts: mean and deviation of the samples, at rest."""
     mean = np.nanmean(samples, axis=1)
     if counts == BIRTH_GRID:
         mean[2:4] = 0
@@ -233,13 +227,13 @@ def _start(samples: F8, low: F8, high: F8, counts: tuple[int, int]) -> SceneDens
 
 
 def _trained(start: SceneDensity, samples: F8, rate: float) -> Training:
-    """The density learned from the samples in the volume, with the uniform share of those left
-    out.
+    """The density learned from the samples in the volume, with the uniform share of held-out
+    samples.
     """
     used = start.contains(np.where(np.isnan(samples), start.low[:, None], samples))
     inside = np.ascontiguousarray(samples[:, used])
     density = predictive(learn(start, inside), inside.shape[1])
-    log_ratio = _left_out(start, inside)
+    log_ratio = _held_out(start, inside)
     gain = math.nan
     if len(log_ratio) >= 2:
         uniform = best_uniform(log_ratio)
@@ -248,24 +242,25 @@ def _trained(start: SceneDensity, samples: F8, rate: float) -> Training:
     return Training(LearnedDensity(rate, density, inside.shape[1]), gain)
 
 
-def _left_out(start: SceneDensity, samples: F8) -> F8:
-    """(n,) log of the Gaussians learned from the others over 1/V at each sample that was left
-    out.
+def _held_out(start: SceneDensity, samples: F8) -> F8:
+    """(n,) `SceneDensity.log_ratio` at each held-out sample, for the density learned from the
+    others.
     """
     complete: I8 = np.flatnonzero(np.isfinite(samples).all(axis=0))
+    folds = range(FOLDS) if len(complete) <= MAX_ALL_FOLDS else [FOLDS - 1]
     log_ratio = [np.zeros(0)]
-    for fold in range(FOLDS) if len(complete) <= MAX_ALL_FOLDS else [FOLDS - 1]:
-        out = complete[fold::FOLDS]
-        others = np.delete(samples, out, axis=1)
-        if len(out) and others.shape[1]:
-            tried = predictive(learn(start, others), others.shape[1])
-            log_ratio.append(tried.log_ratio(samples[:, out]))
+    for fold in folds:
+        held_out = complete[fold::FOLDS]
+        others = np.delete(samples, held_out, axis=1)
+        if len(held_out) and others.shape[1]:
+            density = predictive(learn(start, others), others.shape[1])
+            log_ratio.append(density.log_ratio(samples[:, held_out]))
     return np.concatenate(log_ratio)
 
 
-def _check_number(count: int, what: str, cure: str, least: int = MIN_SAMPLES) -> None:
-    """Raise `InputError` where there are too few samples."""
-    if count < least:
+def _check_number(count: int, name: str, cure: str, minimum: int = MIN_SAMPLES) -> None:
+    """Raise `InputError` if there are too few samples."""
+    if count < minimum:
         raise InputError(
-            f"expected at least {least} {what}, got {count}", where="learning", cure=cure
+            f"expected at least {minimum} {name}, got {count}", where="learning", cure=cure
         )
