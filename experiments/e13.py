@@ -36,7 +36,8 @@ from phdtrack.arrays import area, intersection
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.formats import read_truth
 from phdtrack.ground import read_camera
-from phdtrack.groups.clusters import Contours, Grouping, Groups
+from phdtrack.groups.clusters import Grouping, Groups
+from phdtrack.groups.contours import Contours
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, Detections, GaussianMixture, SequenceInfo, Step, Truth
 

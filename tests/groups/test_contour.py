@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from group_cases import people
 
-from phdtrack.groups.clusters import Contours, polygon_area
+from phdtrack.groups.contours import Contours, polygon_area
 
 
 def test_contour_of_one_person_is_a_circle():

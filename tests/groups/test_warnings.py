@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from group_cases import people
 
-from phdtrack.groups.life_cycle import EncounterWarning
+from phdtrack.groups.encounters import EncounterWarning
 
 
 def test_approaching_people_raise_a_warning_in_time():

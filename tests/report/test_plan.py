@@ -12,7 +12,8 @@ import pytest
 from phdtrack.cli.groups import extent_of
 from phdtrack.groups.clusters import Groups
 from phdtrack.groups.group_stages import GroupFrame
-from phdtrack.groups.life_cycle import Encounter, Event
+from phdtrack.groups.encounters import Encounter
+from phdtrack.groups.life_cycle import Event
 from phdtrack.report.drawing import Plan, PlanScene, _Canvas, identity_colour
 from phdtrack.report.pages import render
 

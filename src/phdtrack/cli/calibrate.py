@@ -16,7 +16,7 @@ from phdtrack.formats.checks import Rule, enforce
 from phdtrack.formats.text import read_columns
 from phdtrack.ground import Calibration, fit_homography, footprint
 from phdtrack.ground.calibration import calibration_text
-from phdtrack.groups.clusters import polygon_area
+from phdtrack.groups.contours import polygon_area
 from phdtrack.run.inputs import frame_size
 from phdtrack.types import F8, Bool
 

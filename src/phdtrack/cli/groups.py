@@ -28,7 +28,8 @@ from phdtrack.errors import InputError
 from phdtrack.files import load
 from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
-from phdtrack.groups.clusters import Grouping, polygon_area
+from phdtrack.groups.clusters import Grouping
+from phdtrack.groups.contours import polygon_area
 from phdtrack.groups.group_stages import GroupFrame, GroupStages, carriers, mixture_of, on_ground
 from phdtrack.groups.life_cycle import LifeCycleState
 from phdtrack.groups.pairs import Pairs

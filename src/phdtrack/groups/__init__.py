@@ -1,4 +1,4 @@
-"""Groups of people: members, number, place, and how they change [E13 §5].
+"""Groups of people: members, number, position, and their changes [E13 §5].
 
 intensity ─cluster→ Groups ─contours→ polygons
                       └─life cycle→ identities and events ─encounters→ warnings

@@ -1,10 +1,9 @@
 """The groups of a sequence, frame by frame, from tracks, from a filter's intensity, or from known
 positions.
 
-`on_ground` follows the people of any tracks on the ground. `mixture_of` makes Gaussians of what a
-filter knows of a frame, `carriers` says which Gaussian belongs to which track.
-`GroupStages.advance` is one frame as a pure function: clusters, identities, contours, events and
-warnings.
+`on_ground` follows the people of any tracks on the ground. `mixture_of` turns the state of a filter
+into Gaussians, and `carriers` assigns a Gaussian to each track. `GroupStages.advance` processes one
+frame as a pure function: clusters, identities, contours, events and warnings.
 """
 
 from __future__ import annotations
@@ -16,28 +15,24 @@ import numpy as np
 
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.filters.extract import KMeans, Mixture
-from phdtrack.groups.clusters import Contours, Grouping, Groups, group_moments
-from phdtrack.groups.life_cycle import (
-    Encounter,
-    EncounterWarning,
-    Event,
-    GroupLifeCycle,
-    LifeCycleState,
-)
+from phdtrack.groups.clusters import Grouping, Groups, group_moments
+from phdtrack.groups.contours import Contours
+from phdtrack.groups.encounters import Encounter, EncounterWarning
+from phdtrack.groups.life_cycle import Event, GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pairs import Pairs, PairState, Walkers
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.smooth.paths import paths_of
 from phdtrack.smooth.smoothing import Sequence
 from phdtrack.types import F8, I8, Detections, GaussianMixture, MeasurementHistory, Step, Tracks
 
-# Heads from which on a cluster without a track is a group: Vo and Ma's weight of a target.
+# Head count from which a cluster without a track is a group: Vo and Ma's threshold for a target.
 UNNAMED = 0.5
-# Squared Mahalanobis radius of the 99 % region in two dimensions: within it a Gaussian belongs to a
-# track.
+# Squared Mahalanobis radius of the 99 % region in two dimensions: the gate between tracks and
+# Gaussians.
 REACH = 9.21
-# Metres, and metres per second: no cluster of particles is known better, few of them may lie in one
-# place.
-_FINEST = 0.05
+# Smallest standard deviation of a cluster of particles, metres and metres per second: a few
+# particles may coincide.
+_MIN_DEVIATION = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,11 +41,13 @@ class GroupFrame:
 
     Attributes
     ----------
-    identity : (G,) of each group; 0 where no member has an identity yet. ``groups`` has their
-        counts and places, and in ``label`` the group of every Gaussian.
+    number, time : of the frame, from 1, and in seconds.
+    identity : (G,) of each group; 0 if no member has an identity yet.
+    groups : their counts and positions, and in ``label`` the group of every Gaussian.
     contours : for each group its level curves, (2, K) metres.
     member, membership : (n,) the people with an identity and the group of each.
-    events, warnings : what became certain with this frame, and which groups are expected to meet.
+    events : the changes that became certain with this frame.
+    warnings : the groups that are expected to meet.
     """
 
     number: int
@@ -84,7 +81,7 @@ class GroupFrame:
 
 @dataclass(frozen=True, slots=True)
 class GroupStages:
-    """The settings of everything that is done with groups."""
+    """The settings of all steps from people to groups, events and warnings."""
 
     grouping: Grouping | Pairs = field(default_factory=Pairs)
     contours: Contours = field(default_factory=Contours)
@@ -94,20 +91,19 @@ class GroupStages:
     def people(
         self, state: LifeCycleState, walkers: Walkers, label: I8, weight: F8, number: int
     ) -> tuple[LifeCycleState, GroupFrame]:
-        """The state with the people of a frame, who all have identities, and the groups.
+        """Process the people of a frame, who all have identities: the new state, and the groups.
 
         Parameters
         ----------
-        state : after the frame before.
-        walkers : who is there, in the order of their identities.
-        label : (n,) the group of each, as `Pairs` finds it.
-        weight : (n,) probability that each is there.
+        state : after the previous frame.
+        walkers : the people, in the order of their identities.
+        label : (n,) the group of each according to `Pairs`.
+        weight : (n,) existence probability of each.
         number : of the frame, from 1.
         """
         mixture = GaussianMixture(weight, walkers.mean, walkers.covariance)
-        return self._frame(
-            state, mixture, label, walkers.identity, np.arange(len(label)), (number, walkers.time)
-        )
+        carrier = np.arange(len(label))
+        return self._frame(state, mixture, label, walkers.identity, carrier, (number, walkers.time))
 
     def advance(
         self,
@@ -118,27 +114,27 @@ class GroupStages:
         number: int,
         time: float,
     ) -> tuple[LifeCycleState, GroupFrame]:
-        """The state with the intensity of a frame, and its groups [E13 §5]. Raises `TypeError`
-        where pairs find the groups.
+        """Process the intensity of a frame: the new state, and the groups [E13 §5]. Raises
+        `TypeError` if groups are found from pairs.
 
-        People with an identity are in the group that they have accepted (`GroupLifeCycle`). A
-        Gaussian without a track goes with the heaviest person of its cluster. A cluster without any
-        track is a group without identity, so that no head is lost, from half a head on: what weighs
-        less there is rather a false alarm.
+        People with an identity are in the group that they accepted (`GroupLifeCycle`). A Gaussian
+        without a track joins the heaviest person of its cluster. A cluster without any track is a
+        group without identity, so that everybody is counted, if its weight is half a person or
+        more: lighter ones are more likely false alarms.
 
         Parameters
         ----------
-        state : after the frame before.
+        state : after the previous frame.
         mixture : over (px, py, vx, vy).
         member, carrier : (n,) identities of people, and the Gaussian of each. People without one
-            (−1), or with one that is too light to count, have no group in this frame.
+            (−1), or with one that is too light, have no group in this frame.
         number, time : of the frame, from 1, and in seconds.
         """
         if not isinstance(self.grouping, Grouping):
             raise TypeError("groups of an intensity need groups.kind=intensity")
         label = self.grouping.groups(mixture).label
-        counted = np.append(label, -1)[carrier] >= 0
-        return self._frame(state, mixture, label, member[counted], carrier[counted], (number, time))
+        grouped = np.append(label, -1)[carrier] >= 0
+        return self._frame(state, mixture, label, member[grouped], carrier[grouped], (number, time))
 
     def _frame(
         self,
@@ -149,8 +145,8 @@ class GroupStages:
         carrier: I8,
         when: tuple[int, float],
     ) -> tuple[LifeCycleState, GroupFrame]:
-        """A frame whose Gaussians are in these clusters (J,), −1 for none; every member's Gaussian
-        is in one.
+        """Process a frame with these clusters (J,) of the Gaussians, −1 for none; the Gaussian of
+        every member is in one.
         """
         number, time = when
         state, membership, events = self.life_cycle.extend(
@@ -161,28 +157,31 @@ class GroupStages:
         contours = tuple(
             self.contours.of(mixture, label == group) for group in range(len(identity))
         )
-        warned = self.encounters.expected(np.append(identity, 0)[label], mixture)
+        warnings = self.encounters.expected(np.append(identity, 0)[label], mixture)
         return state, GroupFrame(
-            number, time, identity, groups, contours, member, membership, events, warned
+            number, time, identity, groups, contours, member, membership, events, warnings
         )
 
 
 def _groups(label: I8, weight: F8, carrier: I8, membership: I8) -> tuple[I8, I8]:
-    """The group (J,) of each Gaussian, −1 where it is too light, and the identities (G,), 0 for a
-    group without.
+    """The group (J,) of each Gaussian, −1 if it is too light, and the identities (G,) of groups, 0
+    for none.
 
     ``label`` (J,) are the clusters, ``carrier`` and ``membership`` (n,) the Gaussians of people and
     their groups.
     """
     identity = np.zeros(len(label), np.int64)
-    # Written from the last to the first: of several people on one Gaussian the first counts.
+    # Backwards, so that the first of several people on one Gaussian is written last.
     identity[carrier[::-1]] = membership[::-1]
     leader: dict[int, int] = {}
     for j in np.argsort(-weight, kind="stable").tolist():
         if identity[j] > 0:
             leader.setdefault(int(label[j]), int(identity[j]))
-    orphans = np.flatnonzero((label >= 0) & (identity == 0))
-    identity[orphans] = [leader.get(int(cluster), -1 - int(cluster)) for cluster in label[orphans]]
+    # A cluster without a track gets a negative number.
+    trackless = np.flatnonzero((label >= 0) & (identity == 0))
+    identity[trackless] = [
+        leader.get(int(cluster), -1 - int(cluster)) for cluster in label[trackless]
+    ]
     heavy = label >= 0
     heads = np.bincount(label[heavy], weight[heavy])
     heavy[heavy] = (identity[heavy] > 0) | (heads[label[heavy]] >= UNNAMED)
@@ -193,138 +192,128 @@ def _groups(label: I8, weight: F8, carrier: I8, membership: I8) -> tuple[I8, I8]
 
 
 def on_ground(
-    tracks: Tracks, seen: MeasurementHistory, model: Model
+    tracks: Tracks, measured: MeasurementHistory, model: Model
 ) -> tuple[list[Walkers], list[F8]]:
-    """The people of each frame of ``seen``, in the order of their identities, and the confidence of
-    each: where those of tracks stand, smoothed on the ground from their first detection to their
-    last.
+    """The people of each frame of ``measured``, in the order of their identities, and the
+    confidence (n,) of each. Their tracks are smoothed on the ground, from the first detection to
+    the last.
 
     Parameters
     ----------
-    tracks : of any filter in any world; ``detection`` says which detection a row rests on.
-    seen : the same detections as the ground's sensor measures them, NaN where a foot stands on no
-        ground.
+    tracks : of any filter and model; ``detection`` is the detection that a row used.
+    measured : the same detections as measurements on the ground, NaN for feet off the ground.
     model : of people on the ground.
     """
-    place = np.searchsorted(seen.number, tracks.frame)
-    column = seen.start[place] + tracks.detection
-    rests = np.flatnonzero(tracks.detection >= 0)
-    nowhere = rests[np.isnan(seen.z[:, column[rests]]).any(axis=0)]
+    position = np.searchsorted(measured.number, tracks.frame)
+    column = measured.start[position] + tracks.detection
+    detected = np.flatnonzero(tracks.detection >= 0)
+    off_ground = detected[np.isnan(measured.z[:, column[detected]]).any(axis=0)]
     detection = tracks.detection.copy()
-    detection[nowhere] = -1
-    paths = paths_of(replace(tracks, detection=detection), seen)
-    states = Sequence.of(seen, model).smooth(paths)
-    # Rows of gaps come from no row of the tracks: they are as sure as the one before.
+    detection[off_ground] = -1
+    paths = paths_of(replace(tracks, detection=detection), measured)
+    states = Sequence.of(measured, model).smooth(paths)
+    # Rows in gaps are not among those of the tracks: they get the confidence of the row before.
     row = paths.row[np.maximum.accumulate(np.where(paths.row >= 0, np.arange(len(paths.row)), 0))]
     identity = tracks.identity[row]
-    sure = tracks.confidence[row]
+    confidence = tracks.confidence[row]
     order = np.lexsort((identity, paths.frame))
+    starts = np.searchsorted(paths.frame[order], np.arange(1, len(measured.number)))
     walkers = list[Walkers]()
     weights = list[F8]()
-    for k, here in enumerate(
-        np.split(order, np.searchsorted(paths.frame[order], np.arange(1, len(seen.number))))
-    ):
-        mean = np.ascontiguousarray(states.mean[here, :4].T)
-        covariance = states.covariance[here][:, :4, :4]
-        walkers.append(Walkers(identity[here], mean, covariance, float(seen.time[k]) / model.rate))
-        weights.append(sure[here])
+    for k, rows in enumerate(np.split(order, starts)):
+        mean = np.ascontiguousarray(states.mean[rows, :4].T)
+        covariance = states.covariance[rows][:, :4, :4]
+        time = float(measured.time[k]) / model.rate
+        walkers.append(Walkers(identity[rows], mean, covariance, time))
+        weights.append(confidence[rows])
     return walkers, weights
 
 
 def mixture_of(
-    intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: float
+    intensity: Any, step: Step, z: F8, stages: AnyStages, min_weight: float
 ) -> GaussianMixture:
-    """What is known after a step as Gaussians over (px, py, vx, vy).
+    """The posterior after a step as Gaussians over (px, py, vx, vy).
 
-    A filter of Gaussians has them. Of particles the clusters of the extraction are taken, here also
-    those that are too light to be reported as people, down to ``lightest``: else one miss would
-    drop a person from the group.
+    Filters of Gaussians have them. Particles are replaced by the clusters of the extraction,
+    including those too light to be reported as people, down to ``min_weight``: otherwise one missed
+    detection would remove a person from the group.
 
     Parameters
     ----------
     intensity : the filter's state.
-    step : what the frame brought.
+    step : the result of the frame.
     z : (m, N) measurements.
     stages : of the run.
-    lightest : smallest weight of a cluster of particles.
+    min_weight : smallest weight of a cluster of particles.
     """
     if isinstance(intensity, Cardinalised):
-        points = intensity.intensity
-    else:
-        points = intensity
-    if isinstance(points, GaussianMixture):
-        return points
-    found = step.estimates
-    if isinstance(stages.extractor, KMeans | Mixture) and lightest < stages.extractor.min_weight:
-        found = replace(stages.extractor, min_weight=lightest).extract(points, z, stages.model)
-    return GaussianMixture(
-        found.weight, found.state, found.covariance + _FINEST**2 * np.eye(len(found.state))
-    )
+        intensity = intensity.intensity
+    if isinstance(intensity, GaussianMixture):
+        return intensity
+    estimates = step.estimates
+    if isinstance(stages.extractor, KMeans | Mixture) and min_weight < stages.extractor.min_weight:
+        extractor = replace(stages.extractor, min_weight=min_weight)
+        estimates = extractor.extract(intensity, z, stages.model)
+    covariance = estimates.covariance + _MIN_DEVIATION**2 * np.eye(len(estimates.state))
+    return GaussianMixture(estimates.weight, estimates.state, covariance)
 
 
-def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:
-    """(M,) the Gaussian of each track: the nearest by its own covariance, −1 where none is near
-    enough.
+def carriers(mixture: GaussianMixture, position: F8, min_weight: float) -> I8:
+    """(M,) the Gaussian of each track: the nearest in Mahalanobis distance, −1 if none is within
+    the gate.
 
-    A corrected row lies near the Gaussian that it rests on; a row that was only predicted finds the
-    one that the filter still has for it.
+    A row with a detection is close to the Gaussian that it comes from; a predicted row is close to
+    the one that the filter still has for it.
 
     Parameters
     ----------
     mixture : Gaussians over (px, py, vx, vy).
-    place : (2, M) of the tracks, metres; NaN where unknown.
-    lightest : lighter Gaussians belong to no track.
+    position : (2, M) of the tracks, metres; NaN if unknown.
+    min_weight : lighter Gaussians belong to no track.
     """
-    heavy = np.flatnonzero(mixture.weight >= lightest)
-    if len(heavy) == 0 or place.shape[1] == 0:
-        return np.full(place.shape[1], -1, np.int64)
-    off = place[:, :, None] - mixture.mean[:2, None, heavy]
+    heavy = np.flatnonzero(mixture.weight >= min_weight)
+    if len(heavy) == 0 or position.shape[1] == 0:
+        return np.full(position.shape[1], -1, np.int64)
+    offset = position[:, :, None] - mixture.mean[:2, None, heavy]
     inverse = np.linalg.inv(mixture.covariance[heavy][:, :2, :2])
-    distance = np.nan_to_num(np.einsum("imj,jik,kmj->mj", off, inverse, off), nan=np.inf)
+    distance = np.nan_to_num(np.einsum("imj,jik,kmj->mj", offset, inverse, offset), nan=np.inf)
     nearest = distance.argmin(axis=1)
     near = distance[np.arange(len(nearest)), nearest] <= REACH
     return np.where(near, heavy[nearest], -1)
 
 
 class OnlineGroups:
-    """Groups by what was seen so far, frame by frame; numbered from ``first``."""
+    """Groups from past and present frames, frame by frame; numbered from ``first``."""
 
     def __init__(self, groups: GroupStages, stages: AnyStages, first: int = 1) -> None:
         self._groups = groups
         self._stages = stages
-        if isinstance(groups.grouping, Pairs):
-            self._light = 0.0
-        else:
-            self._light = groups.grouping.min_weight
+        self._min_weight = 0.0
+        if isinstance(groups.grouping, Grouping):
+            self._min_weight = groups.grouping.min_weight
         self._pairs = PairState()
         self._life = LifeCycleState(following=first)
 
     def mixture(self, intensity: Any, step: Step) -> GaussianMixture:
-        """What is known of people after a step."""
+        """The people after a step as Gaussians."""
         z = self._stages.model.sensor.measure(step.detections)
-        return mixture_of(
-            intensity,
-            step,
-            np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)]),
-            self._stages,
-            self._light,
-        )
+        z = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
+        return mixture_of(intensity, step, z, self._stages, self._min_weight)
 
     def events(
         self, mixture: GaussianMixture, rows: Tracks, number: int, time: float
     ) -> tuple[Event, ...]:
-        """What happened to groups in a frame.
+        """The events that became certain in a frame.
 
         Parameters
         ----------
-        mixture : from `mixture`.
-        rows : confirmed ones of the frame.
-        number, time : of the frame, and in seconds.
+        mixture : the result of `mixture`.
+        rows : the confirmed rows of the frame.
+        number, time : of the frame, from 1, and in seconds.
         """
         rows = rows.select(np.argsort(rows.identity, kind="stable"))
-        carrier = carriers(
-            mixture, self._stages.model.sensor.measure(Detections.of(rows.xyxy))[:2], self._light
-        )
+        position = self._stages.model.sensor.measure(Detections.of(rows.xyxy))[:2]
+        carrier = carriers(mixture, position, self._min_weight)
         if isinstance(self._groups.grouping, Pairs):
             rows = rows.select(carrier >= 0)
             carrier = carrier[carrier >= 0]
@@ -333,11 +322,11 @@ class OnlineGroups:
                 rows.identity, np.ascontiguousarray(mixture.mean[:4, carrier]), covariance, time
             )
             self._pairs, label = self._groups.grouping.extend(self._pairs, walkers)
-            self._life, found = self._groups.people(
+            self._life, frame = self._groups.people(
                 self._life, walkers, label, rows.confidence, number
             )
         else:
-            self._life, found = self._groups.advance(
+            self._life, frame = self._groups.advance(
                 self._life, mixture, rows.identity, carrier, number, time
             )
-        return tuple(found.events)
+        return frame.events
