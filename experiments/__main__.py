@@ -22,8 +22,8 @@ from phdtrack.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """What an experiment answers, in a line, and whether it needs the real sequences. It is the
-    module of its name.
+    """An experiment, the module of its name: the question that it answers, in one line, and whether
+    it needs the real sequences.
     """
 
     about: str
@@ -32,40 +32,38 @@ class Experiment:
 
 # The short ones first.
 EXPERIMENTS = {
-    "count": Experiment("does the filter count right, with known parameters?", data=False),
+    "count": Experiment("accuracy of the count, with known parameters", data=False),
     "vo": Experiment(
         "the standard scenarios of simulated points, straight and turning, by OSPA", data=False
     ),
-    "groups": Experiment(
-        "annotated groups of pedestrians, found among true positions and behind a filter"
-    ),
-    "plane": Experiment("tracks on the ground plane, in metres, next to those in the image"),
+    "groups": Experiment("annotated groups of pedestrians, from true positions and from a filter"),
+    "plane": Experiment("tracks on the ground plane, in metres, compared with those in the image"),
     "e13": Experiment("E13 Figs. 1 and 2: people and groups on E13's own sequence"),
     "d14": Experiment(
         "D14 Tables I-III: SMC PHD and MCMC filters on centroids, by particles and noise"
     ),
     "videos": Experiment("from a video to tracks, with the package's detectors"),
-    "counting": Experiment("lines and zones counted in real video, against the truth"),
-    "blobs": Experiment("merged and split blobs: with and without a model of merged measurements"),
+    "counting": Experiment("counts at lines and in zones of real video, against the truth"),
+    "blobs": Experiment("merged and split blobs, with and without the merged-measurement model"),
     "m07": Experiment("M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
     "m09": Experiment(
         "M09 Figs. 14-16: the paper's own method, births and false alarms learned, by number of"
         " marks"
     ),
     "scenes": Experiment(
-        "learned scenes laid over the default filter's births and false alarms, part by part"
+        "learned scenes with the default filter: births and false alarms, part by part"
     ),
     "peers": Experiment(
-        "compared with widely used trackers; what each part of the default filter contributes"
+        "comparison with widely used trackers; contributions of the parts of the default filter"
     ),
     "cameras": Experiment(
-        "new cameras and detectors next to other trackers, with the figure of groups left out"
+        "new cameras and detectors, compared with other trackers, cross-validated over groups"
     ),
     "classes": Experiment(
-        "cars and people laid over each other, tracked with their classes, apart, and without"
+        "overlaid cars and people, tracked with classes, separately, and without classes"
     ),
     "rates": Experiment(
-        "the same settings from one picture in five minutes to a hundred a second, with lost frames"
+        "the same settings from one image in five minutes to a hundred a second, with lost frames"
     ),
 }
 
@@ -77,15 +75,15 @@ def parser() -> argparse.ArgumentParser:
         "names",
         nargs="*",
         metavar="NAME",
-        help="which to run; all: every experiment, the short ones first",
+        help="experiments to run; all: every one, the short ones first",
     )
     out.add_argument(
-        "--list", action="store_true", help="list the experiments and what each answers"
+        "--list", action="store_true", help="list the experiments with their questions"
     )
     out.add_argument(
         "--quick",
         action="store_true",
-        help="a short form, at most two minutes; its figures are no results",
+        help="a short form, at most two minutes, whose figures are not results",
     )
     out.add_argument(
         "--runs",
@@ -98,7 +96,7 @@ def parser() -> argparse.ArgumentParser:
         "--out",
         type=Path,
         metavar="DIR",
-        help="where pages go; default: docs/results/, in short forms runs/",
+        help="folder of the pages; default: docs/results/, in short forms runs/",
     )
     out.add_argument(
         "--jobs", type=int, default=0, metavar="N", help="processes; default: one for each core"
@@ -106,7 +104,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument(
         "--check",
         action="store_true",
-        help="say which pages are older than the code and settings they show",
+        help="list pages that are older than their code and settings",
     )
     return out
 

@@ -1,5 +1,5 @@
-"""What a video costs in `phdtrack batch`: CPU per video, per frame and per video that is done,
-memory, and bytes on disk.
+"""Costs of a video in `phdtrack batch`: CPU per video, per frame and per finished video, memory,
+and bytes on disk.
 
     python -m experiments.batch_costs
 
@@ -62,7 +62,7 @@ def sources(folder: Path, frames: int) -> tuple[Path, Path]:
 
 
 def copies(source: Path, folder: Path, count: int) -> list[Path]:
-    """So many of it under names of their own."""
+    """Copies of the video under different names."""
     folder.mkdir()
     if (info := source.parents[1] / "seqinfo.ini").exists():
         shutil.copy(info, folder)

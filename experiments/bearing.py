@@ -92,7 +92,7 @@ class TurningMotion(PositionMotion):
     dim: ClassVar[int] = 5
 
     def _turn_variance(self, dt: float) -> float:
-        """Of the turn rate, over ``dt`` seconds."""
+        """Variance of the turn rate after ``dt`` seconds."""
         return self.turning**2 * dt * (dt if self.form == "piecewise" else 1.0)
 
     def particle_model(self, dt: float, seconds: float) -> TurningWalk:
@@ -330,7 +330,7 @@ def _between(angle: F8, wide: float, near: F8, far: F8) -> tuple[F8, F8]:
 
 
 def _holds(first: F8, last: F8, angle: float) -> Bool:
-    """Whether ``angle`` lies, whole turns aside, between ``first`` and ``last``."""
+    """True if ``angle`` lies between ``first`` and ``last``, modulo whole turns."""
     out: Bool = np.floor((last - angle) / WHOLE_TURN) >= np.ceil((first - angle) / WHOLE_TURN)
     return out
 
@@ -339,7 +339,7 @@ def _holds(first: F8, last: F8, angle: float) -> Bool:
 
 
 class TurningWalk(NamedTuple):
-    """The same on circles: the turn rate in row 4 changes by ``turn``·n [V06 §IV-C]."""
+    """A random walk on circles: the turn rate in row 4 changes by ``turn``·n [V06 §IV-C]."""
 
     walk: Walk
     turn: float

@@ -168,8 +168,8 @@ def best(peers: Sequence[Row]) -> list[float]:
 
 
 def pairs_won(rows: Sequence[Row], peers: Sequence[Row]) -> tuple[int, int]:
-    """In how many (case, score) pairs the value is at least the best peer's, and how many pairs
-    there are.
+    """The number of (case, score) pairs with a value at or above the best peer's, and the number of
+    pairs.
     """
     won = of = 0
     for row in (row for row in rows if row["sequence"] != "ALL"):
@@ -188,7 +188,7 @@ def pairs_won(rows: Sequence[Row], peers: Sequence[Row]) -> tuple[int, int]:
 
 
 def distances(rows: Sequence[Row], peers: Sequence[Row]) -> dict[str, float]:
-    """Of each group the mean over its cases and scores of the distance to the best peer, points."""
+    """For each group, the mean distance to the best peer over its cases and scores, points."""
     found: dict[str, list[float]] = {}
     for row in (row for row in rows if row["sequence"] != "ALL"):
         peer_best = best(

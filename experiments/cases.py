@@ -1,5 +1,5 @@
-"""What the trackers are compared on: real detections, ones made of real truth, simulated and
-rendered scenes; clutter.
+"""Cases for the comparison of trackers: real detections, detections simulated from real truth,
+simulated and rendered scenes; added clutter.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Two classes crossing: cars of one drive and people of another, laid over each other, tracked
-together and apart.
+"""Two classes crossing: cars of one drive and people of another, overlaid, tracked together and
+separately.
 
 Both sequences have the size of the larger and the frames of the shorter one. *Apart*: a tracker for
 each class. *Classes*: one tracker that is told the classes. *Without*: one tracker that is not
@@ -33,7 +33,7 @@ WAYS = ("apart", "classes", "without")
 
 
 class Crossing(NamedTuple):
-    """What is laid over the people, the detector of both, and the preset."""
+    """The drive overlaid on the people, the detector of both, and the preset."""
 
     cars: str
     detector: str

@@ -1,5 +1,5 @@
-"""What the experiments share: options, sequences, one run of the tracker, parallel work, Markdown
-tables and pages.
+"""Shared parts of the experiments: options, sequences, one run of the tracker, parallel work,
+Markdown tables and pages.
 
 An experiment is a module with ``main(options) -> Path``: it measures, writes its page (and
 pictures) to ``options.out`` and returns the page. A page is a template, ``pages/NAME.md``, into
@@ -47,7 +47,7 @@ B = TypeVar("B")
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How an experiment is run.
+    """Options of an experiment.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Options:
 
     @property
     def folder(self) -> Path:
-        """Where pages and pictures are written; it is made where it is missing."""
+        """The folder for pages and pictures, created if missing."""
         folder = self.out or (QUICK_RESULTS if self.quick else RESULTS)
         folder.mkdir(parents=True, exist_ok=True)
         return folder
@@ -121,7 +121,7 @@ class ScoredCase:
 
     @property
     def seconds_per_frame(self) -> float:
-        """Of all stages."""
+        """Seconds per frame in all stages."""
         return sum(self.stages)
 
 
@@ -149,7 +149,7 @@ def mot15(sequence: str, kind: str) -> Case:
 
 
 def detections_in(frames: Iterable[Frame], detector_name: str = "change") -> DetectionTable:
-    """What a detector, as shipped, finds in the frames of a video."""
+    """The detections of a detector with default settings in the frames of a video."""
     detector = make_detector(detector_name)
     found = [(frame.number, detector(frame)) for frame in frames]
     number = np.repeat([n for n, _ in found], [len(boxes) for _, boxes in found])

@@ -1,5 +1,5 @@
-"""Four people who enter, cross and leave a corridor, and their centroids as a filter for points is
-given them [D14].
+"""Four people who enter, cross and leave a corridor, and their centroids as measurements of points
+[D14].
 
 D14 tracks people in a CAVIAR sequence of a shopping centre's corridor: four targets over 475 frames
 of 384 × 288 pixels, three of them at a time at most. `PATHS` is such a corridor, seen by a camera
@@ -100,8 +100,8 @@ def centroids(truth: Truth) -> F8:
 def measured(
     truth: Truth, frames: int, variance: float, rng: np.random.Generator
 ) -> tuple[F8, ...]:
-    """Of each of the frames 1 … ``frames`` the measurements (3, n): centroids with Gaussian noise,
-    and whose they are.
+    """For each of the frames 1 … ``frames`` the measurements (3, n): centroids with Gaussian noise,
+    and their identities.
 
     Nobody is missed and nothing is added; the third row is the identity. ``variance`` is that of
     each coordinate in pixels², 0 for clean centroids. Raises `InputError` for a negative one.

@@ -1,5 +1,5 @@
-"""Does the filter count right? The mass of its intensity against the true number of targets, with
-known parameters.
+"""Accuracy of the filter's count: the mass of its intensity against the true number of targets,
+with known parameters.
 
 Truth by the filter's own model, `experiments.counting_scene`: ten targets at the start, p_S = 0.99,
 births that keep the number. ``known``: the filter is given all of it, also the laws that births and

@@ -1,4 +1,4 @@
-"""Who crosses lines and who is in zones: `phdtrack count` against the same counts of the annotated
+"""Crossings of lines and visits of zones: `phdtrack count` against the same counts of the annotated
 truth.
 
 Two videos, PETS09-S2L1 and CAVIAR's shop corridor. The truth goes through the same lines and zones,
@@ -129,7 +129,7 @@ def work(job: tuple[Count, Path]) -> list[list[object]]:
 def _cells(
     place: Place, real: Tally, ours: Tally, truth: list[Event], found: list[Event], last: int
 ) -> list[object]:
-    """In and out, true and counted; of a zone how many are inside and how long."""
+    """In and out, true and counted; for a zone the number inside and the time inside."""
     error = abs(real.entered - ours.entered) + abs(real.left - ours.left)
     cells: list[object] = [f"{real.entered} / {real.left}", f"{ours.entered} / {ours.left}", error]
     if not place.closed:

@@ -171,17 +171,18 @@ def whole(found: CorridorErrors, of: Measure, shares: bool = False) -> str:
 
 
 def falls(found: CorridorErrors, name: str, worlds: Sequence[str]) -> str:
-    """In how many of the steps from one N to the next the error with misses falls."""
+    """The number of steps from one N to the next in which the error with misses falls."""
     steps = [
-        found.values(w, name, more, v, with_misses).mean() < found.values(w, name, less, v, with_misses).mean()
+        found.values(w, name, more, v, with_misses).mean()
+        < found.values(w, name, less, v, with_misses).mean()
         for w in worlds for v in VARIANCES for less, more in pairwise(found.numbers)
     ]  # fmt: skip
     return f"{sum(steps)} of {len(steps)}"
 
 
 def overview(found: CorridorErrors) -> str:
-    """Of each filter, for the least and the greatest N: error, share located and error with misses;
-    whether it falls.
+    """For each filter, at the smallest and the largest N: error, share located and error with
+    misses; and the number of steps in which the latter falls.
     """
     rows: list[tuple[object, ...]] = []
     ends = (found.numbers[0], found.numbers[-1])
@@ -278,7 +279,7 @@ def distances(found: CorridorErrors) -> str:
 
 
 def figures(found: CorridorErrors) -> dict[str, object]:
-    """What is filled into the page."""
+    """The values of the page's placeholders."""
     people = scene("caviar")
     steps = [
         np.hypot(*np.diff(centroids(people)[:, people.identity == one])).max()

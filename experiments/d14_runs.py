@@ -267,7 +267,7 @@ def settled(true: Points) -> Points:
 
 
 def seeds_of(world: str, seeds: int) -> int:
-    """How many seeds a world is run with."""
+    """The number of seeds of a world."""
     return min(seeds, MODEL_SEEDS) if world == "model" else seeds
 
 

@@ -1,5 +1,5 @@
-"""Per object the frames from its first detection to its first mapped output, by which M09 compares
-birth models.
+"""Delays from an object's first detection to its first mapped output, by which M09 compares birth
+models.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from phdtrack.types import F8, I8, DetectionTable, Tracks, Truth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Delays:
-    """Per object: ``identity`` (G,) ascending, ``detected`` and ``mapped`` (G,) first frames, 0
-    where never, ``delay`` (G,).
+    """Per object: ``identity`` (G,) ascending, the first frames ``detected`` and ``mapped`` (G,), 0
+    for never, and ``delay`` (G,).
 
     ``delay`` is mapped − detected in frames, negative where the output came first, NaN where either
     never came.
@@ -31,7 +31,7 @@ class Delays:
 def first_output_delays(
     truth: Truth, tracks: Tracks, detections: DetectionTable, iou: float = 0.5
 ) -> Delays:
-    """How many frames after its first detection each annotated object is first mapped to an output
+    """The number of frames from each annotated object's first detection to its first mapped output
     row.
 
     Distractors do not count. A detection or an output row is an object's where they overlap by

@@ -1,5 +1,5 @@
-"""E13 on its own sequence: people counted on the ground plane behind a detector that misses three
-of ten.
+"""E13 on its own sequence: people counted on the ground plane with a detector that misses three of
+ten.
 
 PETS 2009 S1L1, time 13-57, view 1: the truth is known, E13's detections are not, so they are made
 from the truth. The drop model was fixed before any filter was run, and no parameter was chosen by
@@ -123,7 +123,7 @@ def covered(xyxy: F8) -> F8:
 
 
 def detected(number: int, clutter: float, rng: np.random.Generator) -> Detections:
-    """What the detector makes of frame ``number``."""
+    """The detections of frame ``number``."""
     boxes = truth().xyxy[truth().frame == number]
     seen = boxes[rng.random(len(boxes)) < FREE * (1 - FALL * covered(boxes))]
     false = truth().xyxy[rng.integers(len(truth()), size=rng.poisson(clutter))]
@@ -299,7 +299,7 @@ def _pm(values: F8) -> str:
 def _own_filter(
     results: Mapping[CrowdRun, CrowdCounts], people: F8, groups: F8, seeds: int
 ) -> dict[str, object]:
-    """What is compared with E13's own figures: its filter under its parameters, in little
+    """The errors to compare with E13's own figures: its filter with its parameters, in light
     clutter.
     """
     runs = [results[CrowdRun("GM-PHD", CLUTTER[0], seed)] for seed in range(seeds)]

@@ -1,5 +1,5 @@
-"""E13's filter behind real detectors: PETS09-S2L1, the same camera, people counted and placed on
-the ground.
+"""E13's filter on real detections: PETS09-S2L1, the same camera, people counted and located on the
+ground.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Crowd:
 
 
 def detections(kind: str) -> DetectionTable:
-    """Those that come with the sequence, or the ``person`` detector's on its video."""
+    """The detections of the sequence, or those of the ``person`` detector on its video."""
     if kind != "person":
         return mot15(SEQUENCE, kind).table
     return detections_in(open_source(Path(need_data(), "mot15", SEQUENCE, f"{SEQUENCE}.mp4")), kind)

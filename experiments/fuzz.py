@@ -59,7 +59,7 @@ class Limits:
 
 @dataclass(slots=True)
 class Finding:
-    """What went wrong with which input, and how often the same did."""
+    """A failure: the input that caused it, and the number of inputs with the same failure."""
 
     kind: str
     what: str
@@ -89,7 +89,7 @@ class _Child:
 
 @dataclass(slots=True)
 class Report:
-    """What came of a campaign."""
+    """The result of a campaign."""
 
     family: str
     inputs: int
@@ -105,17 +105,17 @@ class Report:
 
     @property
     def done(self) -> int:
-        """How many inputs were read."""
+        """The number of inputs that were read."""
         return self.accepted + self.refused + self.failed
 
     def document(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """The report in the types of JSON."""
         more = {"done": self.done, "inputs_per_second": self.done / max(self.seconds, 1e-9)}
         return asdict(self) | more
 
     @classmethod
     def of(cls, file: Path, family: str, seed: int, bounds: Limits) -> Report | None:
-        """What a file holds of the same campaign; None where it holds none."""
+        """The report in a file on the same campaign; None if it has none."""
         try:
             known = json.loads(file.read_text(encoding="utf-8"))
             limits = Limits(**known.pop("limits"))
@@ -339,7 +339,7 @@ def _watch(
         )
 
 
-# ----------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # mutations
 
 NUMBERS = (
@@ -507,7 +507,7 @@ def deep(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearra
 
 
 def value(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
-    """Of JSON a value has another type or is missing; of XML an attribute."""
+    """Replace the type of a JSON value, or remove it; the same for attributes of XML."""
     if content[:1] in (b"<",):
         found = [m.span() for m in re.finditer(rb'\w+="[^"]*"', content)]
         start, end = rng.choice(found) if found else (0, 0)
@@ -575,7 +575,7 @@ _CHANGES = (
     value,
 )
 
-# -----------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 # families
 
 Sample = tuple[str | bytes, Callable[[Path], object]]
@@ -622,8 +622,16 @@ def _detections() -> tuple[list[bytes], Try]:
         for f, _, a, b, c, d, s in rows
     ]
     images = [{"id": 7 + k, "file_name": f"img/{k:06d}.jpg", "video_id": 1} for k in range(1, 4)]
-    annotations = [{"id": k, "image_id": 7 + f, "category_id": 2, "bbox": [a, b, 3, 4], "attributes": {"track_id": k}}
-                   for k, (f, _, a, b, *_) in enumerate(rows)]  # fmt: skip
+    annotations = [
+        {
+            "id": k,
+            "image_id": 7 + f,
+            "category_id": 2,
+            "bbox": [a, b, 3, 4],
+            "attributes": {"track_id": k},
+        }
+        for k, (f, _, a, b, *_) in enumerate(rows)
+    ]
     data = {"images": images, "annotations": annotations, "categories": [{"id": 2, "name": "car"}]}
     kitti = (
         "0 1 Car 0 0 -1 10 20 30 40 -1 -1 -1 -1 -1 -1 -1 0.9\n" * 2
@@ -659,7 +667,10 @@ def _truth() -> tuple[list[bytes], Try]:
         for f in range(1, 4)
         for i in range(1, 4)
     )
-    named = "frame,id,left,top,width,height,distractor,class\n1,1,5,5,9,9,0,car\n1,2,5,5,9,9,1,bus\n2,1,6,5,9,9,0,car\n"
+    named = (
+        "frame,id,left,top,width,height,distractor,class\n1,1,5,5,9,9,0,car\n1,2,5,5,9,9,1,bus\n"
+        "2,1,6,5,9,9,0,car\n"
+    )
     regions = "frame,x,y,w,h\n,10,10,50,50\n2,0,0,5,5\n"
     kitti = (
         "0 1 Car 0 0 -1 10 20 30 60"
@@ -668,7 +679,10 @@ def _truth() -> tuple[list[bytes], Try]:
         + " -1" * 7
         + "\n"
     )
-    info = "[Sequence]\nname=A\nimDir=img1\nframeRate=25\nseqLength=100\nimWidth=640\nimHeight=480\nimExt=.jpg\n"
+    info = (
+        "[Sequence]\nname=A\nimDir=img1\nframeRate=25\nseqLength=100\nimWidth=640\nimHeight=480\n"
+        "imExt=.jpg\n"
+    )
     entries = [
         {"image_id": 1, "track_id": k, "category_id": 1, "bbox": [k, k, 9, 9], "iscrowd": k % 2}
         for k in range(3)
@@ -801,8 +815,17 @@ def _scenes() -> tuple[list[bytes], Try]:
         }
         return {"rate": 0.2, "samples": 40, "uniform": 0.2} | inner
 
-    scene = {"format": 1, "width": 640, "height": 480, "rate": 25.0, "source": "a.mp4", "births": density(6),
-             "clutter": density(4), "followed": {"share": 0.1, "objects": density(4)}, "notes": {"a": 1}}  # fmt: skip
+    scene = {
+        "format": 1,
+        "width": 640,
+        "height": 480,
+        "rate": 25.0,
+        "source": "a.mp4",
+        "births": density(6),
+        "clutter": density(4),
+        "followed": {"share": 0.1, "objects": density(4)},
+        "notes": {"a": 1},
+    }
     other = scene | {"births": density(4), "followed": None}
     return reading([(json.dumps(scene), read_scene), (json.dumps(other), read_scene)], ".json")
 

@@ -1,5 +1,5 @@
-"""The chain of D14's filter: Metropolis–Hastings over targets of which it is known what each
-measured [D14 Alg. 1, K05].
+"""The chain of D14's filter: Metropolis–Hastings over targets with known measurements [D14 Alg. 1,
+K05].
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ REDRAW, ANCESTOR = range(2)
 
 
 class Chain(NamedTuple):
-    """How a chain runs.
+    """Settings of a chain.
 
     ``burn`` steps before the first that is kept, one of every ``thin``, until ``samples`` are kept;
     ``share`` of steps that propose another ancestor; whether all targets of a sample have a
@@ -34,7 +34,7 @@ class Chain(NamedTuple):
 
 
 class Ancestors(NamedTuple):
-    """What targets come from.
+    """The possible ancestors of targets.
 
     ``origin`` (d, n·M): the M states of each of n targets in the frame before, those of a target
     side by side. ``running``, ``log`` (k, M): the laws by which ancestors are proposed, for all

@@ -1,4 +1,5 @@
-"""D14's Metropolis–Hastings filter: which target gave which measurement is known [D14 Alg. 1, K05].
+"""D14's Metropolis–Hastings filter with known associations of measurements and targets [D14 Alg. 1,
+K05].
 
 The last row of z is a target's label. With the samples x^r of the frame before, what is sampled is
 (r, x) jointly,
@@ -68,7 +69,7 @@ class GivenMCMC(Filter[JointSamples]):
         check(self)
 
     def start(self, model: Model, rng: np.random.Generator) -> JointSamples:
-        """No targets."""
+        """The state without targets."""
         return JointSamples.empty(model.motion.dim, self.samples)
 
     def predict(

@@ -1,4 +1,4 @@
-"""How well groups are found: pairwise F1 of membership, and switches of groups' identities.
+"""Scores of groups: pairwise F1 of membership, and switches of groups' identities.
 
 Two people who are in a frame together are a pair; the pair is positive where both are of one group.
 

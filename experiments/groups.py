@@ -1,4 +1,4 @@
-"""Annotated groups of pedestrians, found among true positions and behind a filter, with a grid over
+"""Annotated groups of pedestrians, found among true positions and from a filter, with a grid over
 both thresholds.
 
 seq_eth and zara01, people seen from above every 0.4 s. A detector is made of the annotated
@@ -112,9 +112,10 @@ class GroupRun:
 
 @dataclass(frozen=True, slots=True)
 class KnownPeople:
-    """How well people are known: the ``share`` of the annotated who are found within `WITHIN`,
-    ``false`` ones a frame, and the roots of the mean squared errors in ``place`` (m) and
-    ``velocity`` (m/s) of those who are found."""
+    """Accuracy of the people: the ``share`` of the annotated people found within `WITHIN`, the
+    number of ``false`` ones a frame, and the root mean squared errors in ``place`` (m) and
+    ``velocity`` (m/s) of those found.
+    """
 
     share: float
     false: float
@@ -156,8 +157,8 @@ class WalkedScene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class People:
-    """Of one frame: ``member`` (n,) identities, ``place`` (2, n) metres, and the Gaussian that
-    carries each, −1 for none.
+    """The people of one frame: ``member`` (n,) identities, ``place`` (2, n) metres, and the
+    Gaussian of each, −1 for none.
     """
 
     member: I8
@@ -167,8 +168,9 @@ class People:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What is known of one frame: Gaussians, and people by kind; the first kind is grouped frame by
-    frame, the others, which have identities, over time."""
+    """The estimates in one frame: Gaussians, and people by kind; the first kind is grouped frame by
+    frame, the others, which have identities, over time.
+    """
 
     mixture: GaussianMixture
     people: dict[str, People]
@@ -407,7 +409,7 @@ def both(
 
 
 def found_of(where: WalkedScene, frames: Sequence[Seen], name: str) -> KnownPeople:
-    """How well the people of kind ``name`` are known."""
+    """The accuracy of the people of kind ``name``."""
     place = [np.zeros(0)]
     velocity = [np.zeros(0)]
     false = 0
@@ -487,7 +489,7 @@ def main(options: Options) -> Path:
 
 
 def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, object]:
-    """What is filled into the page."""
+    """The values of the page's placeholders."""
     sources = _sources(outcomes, seeds)
     return {
         "seeds": seeds,

@@ -1,4 +1,4 @@
-"""Delayed labelling: which detections were false alarms, decided some seconds later.
+"""Delayed labelling: the decision some seconds later which detections were false alarms.
 
 At once a filter gives a detection the probability κ/(κ + C) to be a false alarm. To learn from that
 alone goes wrong: the first detections of a target that enters are doubted, so that entrances become
@@ -43,7 +43,7 @@ _NONE: I8 = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackEvidence:
-    """What is known of the tracks of the last seconds, identities (n,) ascending.
+    """Evidence about the tracks of the last seconds, identities (n,) ascending.
 
     ``first``, ``last`` (n,): places of their first and last detections, counted in observed frames.
     ``hits`` (n,): frames in which they were detected. ``confirmed`` (n,). ``sums`` (6, n): of the

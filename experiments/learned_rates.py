@@ -1,4 +1,4 @@
-"""Rates that are learned while tracking, from the stream: p_D and false alarms. A section of vo.md.
+"""Learning p_D and the false-alarm rate while tracking, from the stream. A section of vo.md.
 
 **p_D** is the share of frames, from one detection of a track to its next, in which it was detected:
 n detections over g frames of tracks say n/Σg. Frames before the first and after the last detection
@@ -108,7 +108,7 @@ class RateSums(NamedTuple):
     frames: float = 0.0
 
     def plus(self, other: RateSums, fade: float = 1.0) -> RateSums:
-        """These sums times ``fade``, and others."""
+        """The sum of these sums times ``fade`` and others."""
         return RateSums(*(fade * mine + more for mine, more in zip(self, other, strict=True)))
 
     def rates(self, priors: Priors) -> Rates:
@@ -134,8 +134,8 @@ class RateSums(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CountedTracks:
-    """Of tracks ``identity`` (n,), ascending, the ``hits`` and the ``span`` (n,) that are in the
-    sums.
+    """For tracks ``identity`` (n,), ascending, the ``hits`` and the ``span`` (n,) that the sums
+    include.
     """
 
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -155,8 +155,9 @@ class CountedTracks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedRates:
-    """What is known: the ``rates`` in use, sums over labelled frames, frames that wait for labels,
-    and ``learned``, the time when something was last learned, NaN before."""
+    """The state: the ``rates`` in use, sums over labelled frames, frames that wait for labels, and
+    ``learned``, the time of the last update, NaN before.
+    """
 
     rates: Rates
     sums: RateSums = field(default_factory=RateSums)
@@ -174,9 +175,7 @@ class LearnedRates:
 
 @dataclass(frozen=True, slots=True)
 class RatesLearning:
-    """How rates are learned: by which settings, from which values, with labels ``delay`` seconds
-    late.
-    """
+    """Settings of the learning: its options, initial values, and labels ``delay`` seconds late."""
 
     settings: RatesSettings
     priors: Priors

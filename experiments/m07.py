@@ -168,8 +168,8 @@ def main(options: Options) -> Path:
 
 
 def figures(found: MethodScores, places: MethodScores, videos: MethodScores) -> dict[str, object]:
-    """What is filled into the page; ``places``: the scenes with places that fire; ``videos``: the
-    rendered ones.
+    """The values of the page's placeholders; ``places``: the scenes with persistent clutter;
+    ``videos``: the rendered ones.
     """
     heavy = found.rates[-1]
     first = found.groups["real detections"]
@@ -213,7 +213,7 @@ def leads(
     phd: str = PHD,
     scores: Sequence[str] = ("MODA", "MOTA"),
 ) -> bool:
-    """Whether a PHD filter is ahead of a rival in all of the ``scores``, by their means over the
+    """True if a PHD filter is ahead of a rival in all of the ``scores``, by their means over the
     seeds.
     """
     return all(
@@ -246,7 +246,7 @@ def _ahead_table(found: MethodScores) -> str:
 
 
 def _ahead(found: MethodScores, phd: str) -> list[tuple[object, ...]]:
-    """How many cases a PHD filter leads."""
+    """The number of cases in which a PHD filter leads."""
     rows: list[tuple[object, ...]] = []
     for name, cases in _groups(found).items():
         for rate in found.rates:
@@ -354,7 +354,7 @@ def _with_clutter(found: MethodScores, rate: int) -> str:
 
 
 def _behind_table(found: MethodScores) -> str:
-    """Where a rival is ahead in MODA or MOTA, and by which kind of error."""
+    """The cases in which a rival is ahead in MODA or MOTA, and the kind of error."""
     rows = [
         (phd, " ".join(case), rate, rival, *_errors(found, case, rate, rival, phd))
         for phd in PHDS

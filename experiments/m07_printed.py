@@ -134,8 +134,8 @@ def _gaps(found: Found, case: Named, rate: int, method: str) -> list[float]:
 
 
 def _ahead(found: Found, cases: Sequence[Named], rate: int) -> list[int]:
-    """In how many cases the filter is ahead in MODA and MOTA, and in all four: as printed, and with
-    the later split.
+    """The number of cases in which the filter is ahead in MODA and MOTA, and in all four: as
+    printed, and with the later split.
     """
     out = []
     for method in ("PHD-MT", LATER):
@@ -145,7 +145,7 @@ def _ahead(found: Found, cases: Sequence[Named], rate: int) -> list[int]:
 
 
 def _lost(found: Found, case: Named, rate: int) -> list[tuple[object, ...]]:
-    """Where the printed form is not ahead: by how much, and the same with the later split."""
+    """The cases in which the printed form is not ahead: differences, also with the later split."""
     gaps, later = (_gaps(found, case, rate, method) for method in ("PHD-MT", LATER))
     if gaps[0] > 0 and gaps[2] > 0:
         return []
@@ -153,7 +153,9 @@ def _lost(found: Found, case: Named, rate: int) -> list[tuple[object, ...]]:
 
 
 def _shares(found: Found) -> str:
-    """Of the time of a frame, by stage, over all runs of the printed form without added clutter."""
+    """Shares of the stages in the time of a frame, over all runs of the printed form without added
+    clutter.
+    """
     spent = np.array(
         [s.stages for j, s in found.items() if j.method == "PHD-MT" and j.rate == 0]
     ).sum(axis=0)

@@ -89,7 +89,7 @@ class Alarms:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperScene:
-    """What was learned of a scene: births of the filter's own tracks and by hand, false alarms by
+    """A learned scene: births from the filter's own tracks and from manual marks, false alarms by
     the number of marks.
 
     ``births`` are uniform where there are too few ``tracks``, at the rate that was counted.
@@ -101,7 +101,7 @@ class PaperScene:
     alarms: Mapping[int, Alarms]
 
     def at(self, count: int) -> Alarms:
-        """What so many marks have taught, or all there are."""
+        """The false alarms learned from so many marks, or from all if there are fewer."""
         return self.alarms[max(known for known in self.alarms if known <= count)]
 
 
@@ -150,7 +150,9 @@ def own_births(tracks: Tracks, case: Case, rate: float) -> tuple[LearnedDensity,
     frames = (
         sorted(began.values())[PAPER_TRACKS - 1] if len(began) >= PAPER_TRACKS else case.info.frames
     )
-    early = tracks.select(np.flatnonzero([began[one] <= frames for one in tracks.identity.tolist()]))
+    early = tracks.select(
+        np.flatnonzero([began[track] <= frames for track in tracks.identity.tolist()])
+    )
     states = births_in(early, case.info.fps, rate, everything=True)
     time_units = frames / case.info.fps * rate
     lesson = as_lesson(states, time_units, case)
@@ -173,7 +175,7 @@ def even(count: float, units: float, case: Case, dim: int) -> LearnedDensity:
 
 
 def false_detections(case: Case) -> list[Bool]:
-    """For each frame which of its detections overlap nobody by `NO_OBJECT`."""
+    """For each frame, True for detections that overlap no object by `NO_OBJECT`."""
     found = []
     for k in range(1, case.info.frames + 1):
         people = case.truth.xyxy[case.truth.frame == k]
@@ -395,7 +397,7 @@ Curve = Mapping[int, tuple[float, float, float]]
 
 
 def curve(found: SceneResults, learned: Mapping[tuple[str, int], PaperScene], name: str) -> Curve:
-    """What each number of marks brings, on the stretch on which they are compared: means over
+    """The gain for each number of marks, on the frames on which they are compared: means over
     seeds.
     """
     few = short_of(found.scenes[name])
@@ -461,8 +463,12 @@ def _claims(found: SceneResults) -> str:
         ("learned clutter helps more than learned births: A2 above A1", "MOTA", each("A2", "A1")),
         ("A5 above A4", "MOTA", each("A5", "A4")),
         ("both together are best: GM above A2", "MOTA", each(GM, "A2")),
-        ("births by hand win where false alarms are the main error (S201), lose with restarts (S101): A6 less GM", "MOTA",
-         each("A6", GM)),
+        (
+            "births by hand win where false alarms are the main error (S201), lose with restarts"
+            " (S101): A6 less GM",
+            "MOTA",
+            each("A6", GM),
+        ),
     ]  # fmt: skip
     return table(("the paper", "score", f"ours: {', '.join(shown)}"), rows)
 
@@ -605,9 +611,22 @@ def _lessons(learned: Mapping[tuple[str, int], PaperScene]) -> str:
             births = scene.births
             hand = f"{scene.hand.rate:.4f}" if scene.hand else "too few"
             false = most.clutter
-            rows.append((name, most.marks, most.frames, f"{false.rate:.2f}", len(false.density),
-                         f"{false.density.uniform:.2f}", f"{most.share:g}", scene.tracks, f"{births.rate:.4f}",
-                         len(births.density), f"{births.density.uniform:.2f}", hand))  # fmt: skip
+            rows.append(
+                (
+                    name,
+                    most.marks,
+                    most.frames,
+                    f"{false.rate:.2f}",
+                    len(false.density),
+                    f"{false.density.uniform:.2f}",
+                    f"{most.share:g}",
+                    scene.tracks,
+                    f"{births.rate:.4f}",
+                    len(births.density),
+                    f"{births.density.uniform:.2f}",
+                    hand,
+                )
+            )
     header = (
         "scene",
         "marks",

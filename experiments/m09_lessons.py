@@ -1,5 +1,5 @@
-"""What is learned of a scene from its first half, as M09 does: false alarms from marks, births from
-tracks or from marks.
+"""Learning a scene from its first half, as in M09: false alarms from marks, births from tracks or
+from marks.
 
 The truth makes the marks: on 40 frames drawn at random a detection that overlaps no annotated box
 by 0.3 is marked as false; on every frame of the half the first detection of each person who enters
@@ -50,7 +50,7 @@ SHORTEST = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedScene:
-    """What was learned; births of fewer than ten tracks or marks are not, and None.
+    """The learned densities; births from fewer than ten tracks or marks are None.
 
     ``seen``: what the tracker followed, None for too little. ``gains``: held-out nats above
     uniform, of clutter, births, and births by hand; NaN where nothing was learned. ``entered``: how
@@ -142,8 +142,8 @@ def false_alarms(boxes: F8, frames: int, case: Case) -> Training:
 
 
 def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects | None:
-    """What the tracker follows of what was marked and of what was not; None where too little was
-    not.
+    """The false alarms and objects that the tracker follows, from the marked and unmarked
+    detections; None if too few are unmarked.
     """
     size = (float(case.info.width), float(case.info.height))
     frames = len(marks.looked_at)

@@ -1,5 +1,5 @@
-"""The pictures of M09's experiment: what was learned where (Figs. 7, 8, 11), what it brings (14),
-the sweep (15).
+"""The pictures of M09's experiment: maps of what was learned (Figs. 7, 8, 11), gains (14), the
+sweep (15).
 """
 
 from __future__ import annotations

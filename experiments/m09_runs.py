@@ -45,7 +45,7 @@ class SceneRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneScores:
-    """What a run gave.
+    """The result of a run.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ def work(job: tuple[SceneRun, Halves, LearnedScene]) -> SceneScores:
 
 
 def score(one: SceneRun, halved: Halves, stages: AnyStages) -> SceneScores:
-    """What a run with these stages gives on its stretch of the second half."""
+    """The scores of a run with these stages on the second half."""
     case = stretch(halved.test, 1, one.frames) if one.frames else halved.test
     run = followed(stages, case, one.seed)
     online = run.online.select(np.flatnonzero(run.online.confirmed))
@@ -151,7 +151,7 @@ def delays(case: Case, tracks: Tracks, entries: F8) -> tuple[dict[int, float], d
 
 
 def entered(truth: Truth, identity: int, frame: int, entries: F8) -> bool:
-    """Whether the centre of an object's box lies in one of the ``entries`` in a frame."""
+    """True if the centre of an object's box lies in one of the ``entries`` in a frame."""
     box = truth.xyxy[(truth.frame == frame) & (truth.identity == identity)][0]
     x = (box[0] + box[2]) / 2
     y = (box[1] + box[3]) / 2

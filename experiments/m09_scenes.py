@@ -1,6 +1,4 @@
-"""The scenes that M09's experiment learns: rendered and real ones, their first half to learn, the
-second to test.
-"""
+"""The scenes of M09's experiment, rendered and real: one half to learn, the other to test."""
 
 from __future__ import annotations
 
@@ -48,13 +46,13 @@ class Halves:
 
     @property
     def frames(self) -> int:
-        """Of both halves."""
+        """The number of frames of both halves."""
         return self.train.info.frames + self.test.info.frames
 
 
 def halves(job: tuple[str, int]) -> Halves:
-    """What is detected in the scene of that name, parted in the middle; of rendered ones so many
-    frames.
+    """The detections of the scene of that name, split in the middle; for rendered scenes the given
+    number of frames.
     """
     name, frames = job
     case, entries = rendered(name, frames) if name in RENDERED else filmed(name)

@@ -1,5 +1,5 @@
-"""What each page of results was made by: command, commit, settings and code; and which pages are
-older than what they show.
+"""Provenance of the pages of results: command, commit, settings and code; and the pages that are
+older than their code.
 
 ``docs/results/made.json`` has an entry for each page: the command, the commit that was checked out
 (with a + where files had changed since), and a fingerprint of every module of phdtrack and of the
@@ -33,7 +33,9 @@ BY_HAND = {
 
 
 def fingerprint(path: Path) -> str:
-    """Of a module without comments, docstrings and layout, or of the values of a settings file."""
+    """The fingerprint of a module without comments, docstrings and layout, or of the values of a
+    settings file.
+    """
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".toml":
         said = json.dumps(tomllib.loads(text), sort_keys=True)

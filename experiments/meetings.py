@@ -1,4 +1,4 @@
-"""Two people who meet, walk as one blob for a while and part, and with which identities they
+"""Two people who meet, walk as one blob for a while and part, and the identities with which they
 leave.
 """
 
@@ -78,7 +78,7 @@ class Meeting:
         return meets, meets + self.together
 
     def figures(self, rng: np.random.Generator) -> Truth:
-        """Both of them; nothing is drawn by chance."""
+        """The figures of both people; nothing is random."""
         time = np.arange(self.info.frames) / FPS
         meets, parts = self._times
         pace = SPEED * TALL
@@ -103,7 +103,7 @@ class Meeting:
         return truth_rows(frame[inside], np.repeat([1, 2], len(time))[inside], xyxy[inside])
 
     def truth(self, figures: Truth) -> Truth:
-        """Those of whom enough is in the frame."""
+        """The figures that are sufficiently inside the frame."""
         kept = np.flatnonzero(_visible(figures.xyxy, self.info) >= _VISIBLE)
         inside = _clip(figures.xyxy[kept], self.info)
         return truth_rows(figures.frame[kept], figures.identity[kept], inside)
@@ -154,8 +154,8 @@ def filmed(job: tuple[Parting, int], *, detector: bool = True) -> Case:
 
 
 def leaving(case: Case, tracks: Tracks) -> Leave:
-    """What became of the two identities: ``right``, ``swapped``, ``new`` for one or both, ``lost``:
-    one not followed.
+    """The outcome for the two identities: ``right``, ``swapped``, ``new`` for one or both,
+    ``lost``: one not tracked.
     """
     first, last = touching(case.truth)
     before = [

@@ -369,7 +369,7 @@ def _parts_table(found: ComparedRuns, parts: Mapping[str, tuple[str, ...]]) -> s
 def _gain(
     found: ComparedRuns, cases: Sequence[str], score: str, sets: tuple[str, ...]
 ) -> tuple[float, float]:
-    """What a change gains over the defaults, pooled, in points, and half the width of its 95 %
+    """The effect of a change on the default, pooled, in points, and half the width of its 95 %
     interval over the runs.
 
     By the jackknife: how far the difference moves when one sequence (with drawn clutter: in one

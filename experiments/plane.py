@@ -92,9 +92,10 @@ class GroundRun:
 
 @dataclass(frozen=True, slots=True)
 class GroundScores:
-    """How near rows are to the truth's places: MOTA and IDF1 with matches within `NEAR`; of the
-    rows matched one to one within `FAR`, the root of the mean squared distance, the median, and the
-    share of all annotated rows within `NEAR`."""
+    """Scores on the ground: MOTA and IDF1 with matches within `NEAR`; for the rows matched one to
+    one within `FAR`, the root mean squared distance, the median, and the share of all annotated
+    rows within `NEAR`.
+    """
 
     mota: float
     idf1: float
@@ -179,7 +180,7 @@ def feet(xyxy: F8) -> F8:
 
 
 def places_of(rows: Tracks) -> Places:
-    """Where tracks stand."""
+    """The ground positions of tracks."""
     return Places(rows.frame, rows.identity, feet(rows.xyxy))
 
 
@@ -235,7 +236,7 @@ def with_detections(tracks: Tracks, found: DetectionTable) -> Tracks:
 
 
 def sets_of(variant: Variant) -> tuple[str, ...]:
-    """What a variant changes of the shipped settings."""
+    """The settings that a variant changes."""
     joined = f"extract.merge_iou={JOINED if variant.joined else 1.0}"
     if not variant.plane:
         return (joined,)
@@ -283,7 +284,7 @@ def in_the_image(given: Case, tracks: Tracks) -> tuple[float, float]:
 
 
 def numbers(frame: I8, frames: int) -> F8:
-    """(frames,) rows in each frame from 1."""
+    """The scores in the order of the tables: image, ground, counts."""
     return np.bincount(frame, minlength=frames + 1)[1 : frames + 1].astype(np.float64)
 
 
@@ -300,7 +301,7 @@ def main(options: Options) -> Path:
 
 
 def figures(outcomes: dict[GroundRun, GroundErrors], seeds: int) -> dict[str, object]:
-    """What is filled into the page."""
+    """The values of the page's placeholders."""
     ways = dict.fromkeys((run.kind, run.variant) for run in outcomes)
     each = {
         way: [one for run, one in outcomes.items() if (run.kind, run.variant) == way]
@@ -347,7 +348,7 @@ def _means(outcomes: Sequence[GroundErrors]) -> list[str]:
 
 
 def _references() -> list[tuple[str, ...]]:
-    """What is in the truth's boxes and in the detections before anything is tracked: places without
+    """The scores of the truth's boxes and of the detections before tracking: positions without
     identities.
     """
     truth = true_places()

@@ -1,4 +1,4 @@
-"""Frame rates: the same settings from a picture in five minutes to a hundred a second, and with
+"""Frame rates: the same settings from one image in five minutes to a hundred a second, and with
 lost frames.
 
 Sequences of 25 and 30 pictures a second are thinned, truth and detections alike, and the tracker is
@@ -177,8 +177,11 @@ def main(options: Options) -> Path:
     cases = [case for those in groups.values() for case in those]
     fast = [] if options.quick else [(name, "u5") for name in FAST]
     kinds: Mapping[str, list[tuple[str, str]]] = {
-        **dict.fromkeys((*RATES, "lost", "none lost"), cases), "fast": fast, "every fourth": fast, "cells": [CELLS]
-    }  # fmt: skip
+        **dict.fromkeys((*RATES, "lost", "none lost"), cases),
+        "fast": fast,
+        "every fourth": fast,
+        "cells": [CELLS],
+    }
     jobs = [(what, *case) for what, those in kinds.items() for case in those]
     found = dict(zip(jobs, in_parallel(hota, jobs, "rates", options), strict=True))
     theirs = peers()

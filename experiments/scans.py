@@ -1,5 +1,5 @@
-"""What the simulated scenarios of points share: one filter over one realisation, many runs, what
-they come to.
+"""Shared parts of the simulated point scenarios: one filter over one realisation, many runs, their
+scores.
 
 OSPA is one distance between two sets of points, for where they are and how many (Schuhmacher, Vo,
 Vo 2008):
@@ -68,8 +68,8 @@ class Realisation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetErrors:
-    """Per scan: ``ospa`` and its part ``number`` in metres, ``error`` the number of states less
-    that of targets, ``gospa``.
+    """Per scan: ``ospa`` and its part ``number`` in metres, ``error``, the number of states minus
+    that of targets, and ``gospa``.
 
     ``seconds`` of processor time that filter and extraction took for a scan. ``trajectories``: the
     T-GOSPA of a filter with labels in metres and a scan, and its parts.
@@ -93,7 +93,7 @@ def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
 
 
 def followed(given: Realisation, stages: Stages, seed: int) -> Iterator[tuple[Estimates, float]]:
-    """What a filter reports of each scan, and the seconds of processor time that it took."""
+    """The states that a filter reports in each scan, and the processor time in seconds."""
     recursion, extractor = stages
     rng = np.random.default_rng([seed, 1])
     state = recursion.start(given.model, rng)
@@ -105,7 +105,7 @@ def followed(given: Realisation, stages: Stages, seed: int) -> Iterator[tuple[Es
 
 
 def measured(given: Realisation, reports: Iterable[tuple[Estimates, float]]) -> SetErrors:
-    """What the ``reports`` of the scans, as `followed` gives them, come to."""
+    """The errors of the ``reports`` of the scans, the result of `followed`."""
     scans = len(given.scans)
     told = list[Estimates]()
     distance, number, error, sums, seconds = (np.zeros(scans) for _ in range(5))
@@ -163,7 +163,7 @@ def measure(
     label: str,
     options: Options,
 ) -> RunErrors:
-    """So many ``runs`` of every pair of a case and a filter, from seed 0."""
+    """``runs`` runs of every pair of a case and a filter, from seed 0."""
     # Seed by seed: several processes then begin with different filters, and each kernel is compiled
     # once.
     jobs = [
@@ -247,9 +247,7 @@ def apart(ours: Sequence[SetErrors], theirs: Sequence[SetErrors]) -> Interval:
 def differences(
     outcomes: dict[str, list[SetErrors]], pairs: Sequence[tuple[str, str]]
 ) -> Iterator[tuple[str, str, str]]:
-    """Of each pair of filters that ran: which less which, how far apart in metres, and as a
-    share.
-    """
+    """For each pair of filters that ran: names, and the difference in metres and as a share."""
     for ours, theirs in pairs:
         if ours in outcomes and theirs in outcomes:
             difference = apart(outcomes[ours], outcomes[theirs])
@@ -270,9 +268,7 @@ def compared(
     label: str,
     options: Options,
 ) -> RunErrors:
-    """So many ``runs`` of every case with every filter; in the short form of the first case
-    only.
-    """
+    """``runs`` runs of every case with every filter; in the short form only of the first case."""
     cases = dict(list(runs.items())[: 1 if options.quick else None])
     return measure(
         run, {(case, name): n for case, n in cases.items() for name in filters}, label, options

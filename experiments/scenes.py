@@ -1,5 +1,5 @@
-"""Learned scenes with the default filter: what births and false alarms laid over the usual ones
-bring, part by part.
+"""Learned scenes with the default filter: the effect of births and false alarms added to the usual
+ones, part by part.
 
 Scenes of 20 000 rendered frames and real sequences; the first half teaches, the second tests.
 """
@@ -63,7 +63,7 @@ class SceneResults:
     timings: Mapping[str, tuple[float, float, float]]
 
     def seeds(self, scene: str) -> int:
-        """How many seeds there are."""
+        """The number of seeds."""
         return sum(name == scene for name, _ in self.learned)
 
     def runs(self, scene: str, run: str) -> list[SceneScores]:
@@ -132,7 +132,7 @@ class SceneResults:
 
 
 def short_of(scene: Halves) -> int:
-    """How many frames of the second half uniform rates are compared on; 0: all."""
+    """The number of frames of the second half on which uniform rates are compared; 0: all."""
     return QUARTER if scene.frames > 4 * QUARTER else 0
 
 
@@ -215,7 +215,7 @@ def draw(found: SceneResults, out: Path) -> None:
 
 
 def figures(found: SceneResults) -> dict[str, object]:
-    """What is filled into the page."""
+    """The values of the page's placeholders."""
     return {
         "seeds": max(found.seeds(name) for name in found.scenes),
         "findings": _findings(found),
@@ -356,7 +356,19 @@ def _lessons(found: SceneResults) -> str:
         clutter = (f"{one.clutter.rate:.2f}", one.clutter.samples, len(one.clutter.density))
         rows.append((name, *clutter, followed, *births, *hand, *gains))
     header = (
-        "scene", "r̄", "boxes marked", "places", "followed", "s̄", "tracks", "places", "s̄ by hand", "marks", "places",
-        "gain of false alarms", "of births", "by hand",
-    )  # fmt: skip
+        "scene",
+        "r̄",
+        "boxes marked",
+        "places",
+        "followed",
+        "s̄",
+        "tracks",
+        "places",
+        "s̄ by hand",
+        "marks",
+        "places",
+        "gain of false alarms",
+        "of births",
+        "by hand",
+    )
     return table(header, rows)

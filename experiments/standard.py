@@ -112,9 +112,7 @@ def realisation(case: str, seed: int) -> Realisation:
 
 
 def anywhere(model: Model) -> PlaneBirth:
-    """As many births a second as the scenario has, uniform over the region, around the
-    measurements.
-    """
+    """Births uniform over the region, around the measurements, at the scenario's rate."""
     assert isinstance(model.birth, FixedBirth)
     side = LinearGaussian().half_width
     return PlaneBirth(model.birth.places.mass, 0.0, NEWBORN, (-side, -side, side, side))

@@ -256,7 +256,7 @@ class Turning:
 
     @property
     def clutter_volume(self) -> float:
-        """What clutter is uniform over, radians times metres."""
+        """The volume of the uniform clutter, radians times metres."""
         return math.pi * self.radius
 
 

@@ -56,8 +56,8 @@ _HALF = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What the filter begins with: p_D (0: the true one), λ (0: a multiple of the true one);
-    whether it learns.
+    """The initial values of the filter: p_D (0: the true one), λ (0: a multiple of the true one);
+    and whether it learns.
     """
 
     p_detect: float

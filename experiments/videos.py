@@ -103,7 +103,7 @@ class VideoRun:
 
     @property
     def found(self) -> Path:
-        """What was detected on the video."""
+        """The detections on the video."""
         without = f"-without-{self.without}" if self.without else ""
         return self.runs / f"{self.video.name}-{self.video.detector}{without}"
 
@@ -201,8 +201,8 @@ def masked(job: tuple[str, Path]) -> list[object]:
 
 
 def worth(job: VideoRun) -> str:
-    """Of the change detector, whole or without a part: MOTA, or share found and false boxes a
-    frame.
+    """The score of the change detector, complete or without a part: MOTA, or share found and false
+    boxes a frame.
     """
     detect(job)
     document = work(job)
@@ -264,7 +264,7 @@ def _shake(source: str, truth: str, pixels: float, folder: Path) -> None:
 
 
 def _by_masks(name: str, out: Path) -> list[object]:
-    """What a run directory is worth by the masks of its video, as `masked` has it."""
+    """The score of a run directory by the masks of its video, as in `masked`."""
     folder = need_data() / "video" / name
     if name == TREE:
         rows = read_tracks(out / "tracks.csv")
@@ -286,7 +286,7 @@ def _by_masks(name: str, out: Path) -> list[object]:
 
 
 def _phdtrack(*arguments: str) -> str:
-    """What the command line prints; RuntimeError with its words where it fails."""
+    """The output of the command line; raises RuntimeError with its message if it fails."""
     command = [sys.executable, "-m", "phdtrack", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:

@@ -139,7 +139,7 @@ def gaussian(place: tuple[float, float], sd: float) -> GaussianMixture:
 
 @pytest.mark.parametrize("place", [(900.0, 700.0), (100.0, -800.0)])
 def test_sigma_points_have_the_moments_of_draws(place: tuple[float, float], rng):
-    """Of 400 000; the second Gaussian lies across the cut at ±π."""
+    """400 000 draws; the second Gaussian lies across the cut at ±π."""
     state = gaussian(place, 50.0)
     seen = expected(SENSOR, state.mean.T.copy(), state.covariance, "unscented")
     x = rng.multivariate_normal(state.mean[:, 0], state.covariance[0], 400_000).T
@@ -156,7 +156,7 @@ def test_sigma_points_have_the_moments_of_draws(place: tuple[float, float], rng)
     assert (np.abs(seen.cross[0] - cross) < 0.02 * wide).all()
 
 
-def test_a_turning_target_is_followed_within_what_the_filter_says(rng):
+def test_turning_target_is_tracked_within_the_covariance(rng):
     """Normalised error over 40 runs of 40 scans, turning at the model's own noise: in the band of
     independent runs.
 

@@ -1,4 +1,4 @@
-"""What the experiment with blobs films, tears and counts."""
+"""The meetings of the experiment with blobs: their video, detections and scores."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 
 def centres(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Where both are along the picture, in the frames in which both are."""
+    """The horizontal positions of both people in the frames that show both."""
     truth = case.truth
     both = np.intersect1d(truth.frame[truth.identity == 1], truth.frame[truth.identity == 2])
     one, two = (truth.xyxy[(truth.identity == who) & np.isin(truth.frame, both)] for who in (1, 2))

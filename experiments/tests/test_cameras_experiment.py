@@ -26,7 +26,7 @@ PEERS = [
 ]
 
 
-def test_the_best_peer_is_another_for_each_score_and_never_ourselves() -> None:
+def test_best_peer_is_chosen_per_score_without_ourselves() -> None:
     assert cameras.best(PEERS) == [45.0, 60.0, 50.0]
 
 
@@ -67,8 +67,11 @@ def test_what_is_far_behind_is_listed_by_distance() -> None:
         ("default", "corrected"): [case | {"HOTA": "40", "MOTA": "58.5", "IDF1": "47.9"}],
     }
     assert [(row[0], row[3], row[4]) for row in cameras.behind(kept, PEERS)] == [
-        ("online", "MOTA", "50.0"), ("online", "IDF1", "44.0"), ("corrected", "HOTA", "40.0"), ("corrected", "IDF1", "47.9"),
-    ]  # fmt: skip
+        ("online", "MOTA", "50.0"),
+        ("online", "IDF1", "44.0"),
+        ("corrected", "HOTA", "40.0"),
+        ("corrected", "IDF1", "47.9"),
+    ]
 
 
 @pytest.mark.data

@@ -35,7 +35,7 @@ def test_the_models_posterior_deviation_is_the_papers():
 
 
 @pytest.mark.parametrize("variance", VARIANCES)
-def test_where_the_model_is_true_the_kalman_filters_error_is_its_posterior_deviation(
+def test_kalman_error_equals_its_posterior_deviation(
     variance: float,
 ):
     """Four points over 1048 frames in all, five seeds: within 4 %."""
@@ -46,7 +46,7 @@ def test_where_the_model_is_true_the_kalman_filters_error_is_its_posterior_devia
 
 
 def test_the_kalman_filters_are_those_of_single_targets():
-    """Each target by itself, with textbook matrices."""
+    """Each target alone, with textbook matrices."""
     job = CorridorRun("corridor", KALMAN, 0, 2.0, 3)
     scans = scans_of(job)
     found = kalman(stages_of(job).model, scans)
@@ -68,7 +68,7 @@ def test_the_kalman_filters_are_those_of_single_targets():
             np.testing.assert_allclose(found.point[:, mine][:, 0], mean[:2], rtol=1e-9)
 
 
-def test_all_filters_are_given_the_same_measurements_and_only_some_the_names():
+def test_all_filters_get_the_same_measurements():
     """N is the number of samples, or of all particles; the sensor's variance is that of the
     measurements.
     """
@@ -110,21 +110,20 @@ def test_a_state_far_from_everybody_is_nobodys_error():
 
 
 @pytest.mark.slow
-def test_the_sampler_nears_the_posterior_mean_and_the_greedy_chain_does_not():
-    """Where the model is true: root mean squared distances per axis from the exact mean, two
-    seeds.
-    """
-    far = {
-        (name, n): np.mean([work(CorridorRun("model", name, n, 2.0, seed)).to_posterior for seed in range(2)])
-        for name in d14.CHAINS for n in (500, 4000)
-    }  # fmt: skip
+def test_sampler_but_not_greedy_chain_nears_posterior_mean():
+    """With the true model: root mean squared distances per axis from the exact mean, two seeds."""
+    far = {}
+    for name in d14.CHAINS:
+        for n in (500, 4000):
+            runs = [work(CorridorRun("model", name, n, 2.0, seed)) for seed in range(2)]
+            far[name, n] = np.mean([run.to_posterior for run in runs])
     assert far["MCMC", 4000] < 0.45 * far["MCMC", 500]
     assert far["MCMC joint", 4000] < 0.45 * far["MCMC joint", 500]
     assert far["MCMC greedy", 4000] > 5 * far["MCMC", 4000]
     assert far["MCMC greedy", 4000] > 0.6 * far["MCMC greedy", 500]
 
 
-def test_the_phd_filter_locates_who_is_there_and_is_near_the_bound():
+def test_phd_filter_locates_people_near_the_bound():
     phd, bound = (
         work(CorridorRun("corridor", name, n, 1.0, 0))
         for name, n in (("SMC PHD", 1000), (KALMAN, 0))

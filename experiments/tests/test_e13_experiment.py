@@ -1,6 +1,4 @@
-"""The made detections of the E13 experiment: who is covered, how often a person is detected, where
-clutter stands.
-"""
+"""The simulated detections of the E13 experiment: coverage, detection rate, position of clutter."""
 
 from __future__ import annotations
 
@@ -35,7 +33,7 @@ def test_seven_of_ten_are_detected_as_e13_says(sequence):
 
 
 def test_the_truth_changes_by_a_third_of_a_person_a_frame(sequence):
-    """What the page sets the filters' jumps against."""
+    """The page compares the filters' jumps with this."""
     people = np.bincount(sequence.frame, minlength=e13.INFO.frames + 1)[1:]
     assert np.abs(np.diff(people)).mean() == pytest.approx(0.31, abs=0.01)
 

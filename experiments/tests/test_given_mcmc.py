@@ -109,8 +109,10 @@ def exact_moments(
         cov = np.zeros((8, 8))
         log_weight = 0.0
         for t in range(2):
-            m, _, q = (part[..., 0] if k == 0 else part[0] for k, part in
-                       enumerate(model.motion.transition(origin[:, [5 * t + r[t]]], 1.0)))  # fmt: skip
+            m, _, q = (
+                part[..., 0] if k == 0 else part[0]
+                for k, part in enumerate(model.motion.transition(origin[:, [5 * t + r[t]]], 1.0))
+            )
             s = q[:2, :2] + spread[t]
             gain = q[:, :2] @ np.linalg.inv(s)
             apart = z[:2, t] - m[:2]
@@ -164,7 +166,7 @@ def test_the_chain_samples_the_exact_mixture(world: str, ancestors: str, rng):
 
 
 def test_greedy_acceptance_does_not_sample(rng):
-    """As D14 prints it the chain has another law than the posterior, however long it runs."""
+    """The chain as D14 prints it does not converge to the posterior, however long it runs."""
     model = gaussian_worlds()["point"]
     origin, z = gaussian_scan(rng)
     _, cov = exact_moments(origin, z, model)[1]

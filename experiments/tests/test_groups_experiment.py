@@ -1,4 +1,4 @@
-"""The detector that is made of annotated positions, and who is counted as together."""
+"""The detector that is simulated from annotated positions, and the pairs that count as together."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Labels of detections some seconds later: by what became of them."""
+"""Labels of detections some seconds later, from what became of them."""
 
 from dataclasses import replace
 

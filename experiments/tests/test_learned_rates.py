@@ -56,7 +56,7 @@ def test_estimates_are_posterior_means():
     assert around.clutter == pytest.approx((50 * 0.3 + 200) / (50 + 400))
 
 
-def test_much_evidence_outweighs_any_setting_and_limits_are_named():
+def test_much_evidence_outweighs_priors_within_limits():
     assert RateSums(hits=5e5, span=1e6).rates(PRIORS).detection == pytest.approx(0.5, abs=1e-4)
     low = RateSums(hits=1, span=1e6).rates(PRIORS)
     high = RateSums(hits=1e6, span=1e6).rates(PRIORS)
@@ -76,7 +76,7 @@ def test_frames_between_first_and_last_detection_teach():
     assert (more.hits, more.span) == (1, 2)
 
 
-def test_what_stays_in_its_place_and_what_was_not_confirmed_teaches_nothing():
+def test_static_and_unconfirmed_tracks_are_not_learned_from():
     standing = walk(1, [1, 4, 9, 20], 0)
     doubtful = walk(2, np.arange(1, 30, 3), 5, confirmed=False)
     assert CountedTracks().updated(evidence(standing, doubtful))[1] == RateSums()

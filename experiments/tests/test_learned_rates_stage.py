@@ -16,7 +16,7 @@ INFO = SequenceInfo(640, 480, 25.0)
 
 
 def stages(*sets, filter_name="gm-phd", info=INFO, **rates):
-    """Those of the filter, with p_D and false alarms learned."""
+    """The stages of the filter, with p_D and false alarms learned."""
     built = config.build(
         config.load(None, ("detection_scores.kind=none", *sets)), info, filter_name
     )
@@ -79,7 +79,7 @@ def test_frames_that_nobody_saw_teach_nothing():
     assert learned.rates.detection == built.model.sensor.detection_probability
 
 
-def test_cautious_estimates_are_used_where_nothing_else_explains_them():
+def test_cautious_estimates_are_used_without_other_explanation():
     built = stages(cautious=True)
     set_to = built.model
     rates = built.detection_scores.start().rates

@@ -1,4 +1,4 @@
-"""What the page of M07 Table 1 counts, from made-up scores; its cases."""
+"""The counts on the page of M07 Table 1 for made-up scores, and its cases."""
 
 from __future__ import annotations
 

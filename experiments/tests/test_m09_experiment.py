@@ -1,4 +1,4 @@
-"""M09's experiment: what is marked, learned, run and counted on small scenes."""
+"""M09's experiment: marks, learning, runs and scores on small scenes."""
 
 from __future__ import annotations
 
@@ -96,16 +96,29 @@ def test_every_run_has_its_births_and_its_clutter(street) -> None:
     learned = (SceneBirth, 0.5, 0.125)
     by_hand = (SceneBirth, 1.25, 0.125)
     assert births == {
-        UM: shipped, GM: learned, "A1": learned, "A2": shipped, "A3": estimated, "A4": learned, "A5": estimated,
+        UM: shipped,
+        GM: learned,
+        "A1": learned,
+        "A2": shipped,
+        "A3": estimated,
+        "A4": learned,
+        "A5": estimated,
         "A6": by_hand,
-    }  # fmt: skip
+    }
     clutter = {run: rate_and_kind(one.model.clutter) for run, one in stages.items()}
     usual = (BoxClutter, 1.5, None)
     rated = (BoxClutter, 2.5 * each, None)
     false = (SceneClutter, 2.5, 1.5)
     assert clutter == {
-        UM: usual, GM: false, "A1": usual, "A2": false, "A3": rated, "A4": rated, "A5": false, "A6": false,
-    }  # fmt: skip
+        UM: usual,
+        GM: false,
+        "A1": usual,
+        "A2": false,
+        "A3": rated,
+        "A4": rated,
+        "A5": false,
+        "A6": false,
+    }
     # Tracks are held back where false alarms are known.
     assert {
         run for run, one in stages.items() if isinstance(one.associator, FalseTrackRejection)
@@ -137,9 +150,17 @@ def test_the_papers_runs_have_densities_over_the_image(street) -> None:
     learned = (SceneBirth, 0.5, 0.0)
     flat = (SceneBirth, 0.5, 0.0)
     assert births == {
-        UM: usual, GM: learned, m09.WHOLE: learned, "A1": learned, "A2": usual, "A3": flat, "A4": learned, "A5": flat,
-        "A6": (SceneBirth, 1.25, 0.0), "GM 10": learned,
-    }  # fmt: skip
+        UM: usual,
+        GM: learned,
+        m09.WHOLE: learned,
+        "A1": learned,
+        "A2": usual,
+        "A3": flat,
+        "A4": learned,
+        "A5": flat,
+        "A6": (SceneBirth, 1.25, 0.0),
+        "GM 10": learned,
+    }
     clutter = {run: rate_and_kind(one.clutter)[:2] for run, one in models.items()}
     false = (SceneClutter, 2.5)
     assert clutter == dict.fromkeys(models, false) | {
@@ -177,10 +198,8 @@ def garden() -> m09_scenes.Halves:
 
 
 @pytest.mark.slow
-def test_the_paper_learns_from_a_few_marks_where_false_alarms_last(garden, monkeypatch) -> None:
-    """In the garden a few hundred marks are enough, and the filter is better with what they
-    teach.
-    """
+def test_paper_learns_lasting_false_alarms_from_few_marks(garden, monkeypatch) -> None:
+    """In the garden a few hundred marks are enough, and the learned filter is better."""
     monkeypatch.setattr(m09, "MARKS", (10, 300))
     monkeypatch.setattr(m09, "PAPER_MARKS", 300)
     monkeypatch.setattr(m09, "JUDGED", 10)

@@ -1,4 +1,4 @@
-"""What pages were made by: fingerprints, entries, and which pages are old."""
+"""Provenance of pages: fingerprints, entries, and stale pages."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""What the page beside the peers counts and says, from made-up scores; and that the harness is
-asked as it is.
+"""Counts and sentences of the page of peers for made-up scores, and the calls of the peers'
+harness.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def found() -> peers.ComparedRuns:
     return peers.ComparedRuns(results, PEERS, {"public": ("A", "B")}, ("pmb", "none"), 1)
 
 
-def test_the_best_peer_is_chosen_score_by_score_and_never_the_oracle(found: peers.ComparedRuns):
+def test_best_peer_is_chosen_per_score_without_the_oracle(found: peers.ComparedRuns):
     assert found.best("public", "ALL", "MOTA") == (50.0, "sort")
     assert found.best("public", "ALL", "IDF1") == (60.0, "norfair")
     assert np.isnan(found.best("public", "B", "HOTA")[0])

@@ -1,4 +1,4 @@
-"""How rows on the ground are compared with true places."""
+"""Comparison of rows on the ground with true positions."""
 
 import numpy as np
 import pytest

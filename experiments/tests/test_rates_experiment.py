@@ -1,4 +1,4 @@
-"""The parts of the experiment on frame rates: frames left out and put in between."""
+"""The parts of the experiment on frame rates: omitted and interpolated frames."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_truth_between_two_frames_is_in_between_and_gaps_stay():
     np.testing.assert_array_equal(rows[rows[:, 1] == 9][:, :6], [[5, 9, 99, 99, 10, 10]])
 
 
-def test_nine_of_ten_boxes_are_drawn_with_a_jitter_of_a_twentieth():
+def test_nine_of_ten_boxes_are_detected_with_jitter():
     """Within five standard errors."""
     many = np.repeat(TRUTH[:1], 20_000, axis=0)
     found = drawn(many)

@@ -1,4 +1,4 @@
-"""The corridor of D14's kind: who is there when, and what is measured of them."""
+"""The corridor of D14's kind: the people in it, and their measurements."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_they_enter_cross_and_leave():
     assert sorted(np.unique(truth.frame[truth.identity == k])[0] for k in range(1, 5))[0] == 1
 
 
-def test_everybody_is_measured_with_the_noise_asked_for_and_his_name():
+def test_everybody_is_measured_with_the_set_noise():
     truth = paths()
     place = centroids(paths())
     scans = measured(truth, 475, 2.0, np.random.default_rng(1))
@@ -60,7 +60,7 @@ def test_everybody_is_measured_with_the_noise_asked_for_and_his_name():
     )
 
 
-def test_wandering_points_live_as_long_and_move_as_the_model_says():
+def test_wandering_points_follow_the_model():
     """With p' = p + v + n and v' = v + m a second difference of positions is n' − n + m: its
     variance is 3 q.
     """

@@ -108,7 +108,7 @@ def test_particles_come_near_the_gaussians(case: str):
     [(unknown.UNKNOWN, 0.05), ("λ a third, learned", 0.1), ("λ three times, learned", 0.1)],
 )
 def test_rates_that_nobody_knows_are_learned(start, most):
-    """What is asked for, and 4 standard errors of the paired difference; eight runs each."""
+    """The target, and 4 standard errors of the paired difference; eight runs each."""
     for case in (standard.EASY, standard.CLUTTERED):
         known, learned = (
             [unknown.run(FilterRun("gm-phd", f"{case} | {which}", seed)) for seed in range(8)]

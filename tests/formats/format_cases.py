@@ -16,7 +16,9 @@ def put(folder: Path, content: str | bytes, name: str = "det.txt") -> Path:
 
 
 def refused(reader: Callable[[Path], object], path: Path, where: str, words: str) -> None:
-    """The reader says what is wrong, and where: the path and what follows it."""
+    """The reader raises an error that names the place (the path and what follows it) and the
+    problem.
+    """
     with pytest.raises(InputError) as caught:
         reader(path)
     assert caught.value.where == f"{path}{where}"

@@ -1,4 +1,4 @@
-"""Classes in files: words and numbers come back, in every format that has them."""
+"""Classes in files: words and numbers are preserved in every format that has them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""CVML: boxes, groups, and XML that is not what it should be."""
+"""CVML: boxes, groups, and malformed XML."""
 
 from pathlib import Path
 
@@ -20,7 +20,8 @@ GOOD = """<?xml version="1.0" encoding="UTF-8"?>
     </grouplist>
   </frame>
   <frame number="1"><objectlist/><grouplist/></frame>
-  <frame number="2"><objectlist><object id="7"><box h="10" w="4" xc="21" yc="30"/></object></objectlist></frame>
+  <frame number="2"><objectlist>\
+<object id="7"><box h="10" w="4" xc="21" yc="30"/></object></objectlist></frame>
 </dataset>
 """
 

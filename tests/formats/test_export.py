@@ -1,4 +1,4 @@
-"""Every format that tracks are exported in is read again, as tracks, as detections and as truth."""
+"""Every format in which tracks are exported can be read as tracks, as detections and as truth."""
 
 from __future__ import annotations
 

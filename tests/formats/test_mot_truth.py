@@ -1,5 +1,5 @@
-"""Truth and tracks of MOTChallenge, the benchmark's rule about classes against its own evaluation
-code.
+"""Truth and tracks of MOTChallenge, and the benchmark's rule about classes against its own
+evaluation code.
 """
 
 import importlib

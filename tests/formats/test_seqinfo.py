@@ -1,4 +1,4 @@
-"""seqinfo.ini: found where MOTChallenge puts it, and clear about what is wrong with it."""
+"""seqinfo.ini: its location, and errors about malformed files."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Detections from a pipe: the same as of a file, each frame when it is whole, errors with the
+"""Detections from a pipe: the same as from a file, each frame when it is complete, errors with the
 line.
 """
 
@@ -19,7 +19,7 @@ from phdtrack.formats.stream import stream_detections
 
 
 def streamed(content: bytes, pieces: int = 1):
-    """What comes of a pipe into which the content is written in so many pieces."""
+    """The tables read from a pipe into which the content is written in so many pieces."""
     out, into = os.pipe()
     cuts = np.linspace(0, len(content), pieces + 1).astype(int)
 

@@ -1,4 +1,4 @@
-"""Text tables: what is understood, and what a user is told where it is not."""
+"""Text tables: accepted forms, and the errors for all others."""
 
 import contextlib
 from pathlib import Path
@@ -214,7 +214,7 @@ def test_any_content_gives_rows_or_an_input_error(
 
 
 def test_empty_boxes_are_skipped_and_counted(tmp_path: Path) -> None:
-    """Of detections only: in truth and tracks they are faults."""
+    """Only in detections: in truth and tracks they are errors."""
     path = put(tmp_path, GOOD + "2,-1,10,20,0,40,0.5,-1,-1,-1\n" + "1,-1,10,20,4,0,0.5,-1,-1,-1\n")
     table = read_detections(path)
     plain = read_detections(put(tmp_path, GOOD, "good.txt"))

@@ -1,4 +1,4 @@
-"""The motion of a camera as a file: read, written, and errors that name the line."""
+"""Camera motion as a file: reading, writing, and errors that name the line."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is written can be read back, and is there as soon as it is written."""
+"""Written files can be read back, and every frame is on disk at once."""
 
 import shutil
 from dataclasses import replace

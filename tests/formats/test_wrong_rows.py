@@ -1,5 +1,5 @@
-"""Rows that are wrong: the first is an error, or all are left out and counted; frame numbers as far
-as they go.
+"""Malformed rows: the first is an error, or all are skipped and counted; the range of frame
+numbers.
 """
 
 import json

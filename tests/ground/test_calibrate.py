@@ -27,7 +27,9 @@ def test_exact_points_recover_the_camera(n: int) -> None:
 
 
 def test_noisy_points_give_the_least_squares_fit(rng: np.random.Generator) -> None:
-    """No worse than OpenCV's own refinement, and no small change of the matrix is better."""
+    """The fit is no worse than OpenCV's own refinement, and no small change of the matrix improves
+    it.
+    """
     pixel = clicked() + rng.normal(0, 1.5, WORLD.shape)
     fitted = fit_homography(pixel, WORLD)
     theirs, _ = cv2.findHomography(WORLD.T, pixel.T)

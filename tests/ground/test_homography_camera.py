@@ -20,8 +20,8 @@ def test_homography_equals_undistorted_camera_on_flat_ground(rng: np.random.Gene
 
 
 def test_depth_is_the_distance_along_the_ground() -> None:
-    """Of the pinhole's camera: its horizontal distance along the direction that it looks into, from
-    below it.
+    """The depth equals the pinhole camera's horizontal distance along its viewing direction, from
+    the point below it.
     """
     pinhole = posed(OpenCVLens(MATRIX))
     camera = HomographyCamera(PLANE)
@@ -45,7 +45,7 @@ def test_homography_has_no_heights() -> None:
 
 
 def test_side_of_the_horizon_can_be_given() -> None:
-    """A picture upside down: what is above shows ground."""
+    """An upside-down image: its upper part shows ground."""
     turned = PLANE @ np.array([[-1.0, 0, 768], [0, -1, 576], [0, 0, 1]])
     pixel = np.array([[380.0], [40]])
     assert np.isnan(HomographyCamera(turned).ground(pixel)).all()

@@ -20,7 +20,8 @@ PIXEL = np.array([[100.0, 400, 700, 380], [350, 420, 560, -500]])
 VECTOR = cv2.Rodrigues(ROTATION)[0].ravel()
 TSAI = """<?xml version="1.0" encoding="UTF-8"?>
 <Camera name="View">
-  <Geometry width="768" height="576" ncx="795" nfx="750" dx="4.811320754716981e-3" dy="4.6e-3" dpx="5.1e-3" dpy="4.6e-3"/>
+  <Geometry width="768" height="576" ncx="795" nfx="750" dx="4.811320754716981e-3" dy="4.6e-3"\
+ dpx="5.1e-3" dpy="4.6e-3"/>
   <Intrinsic focal="5.5" kappa1="5e-3" cx="370" cy="280" sx="1.08"/>
   <Extrinsic tx="828.7" ty="-3175.5" tz="35469.3" rx="2.04" ry="-0.893" rz="-0.43"/>
 </Camera>
@@ -63,7 +64,7 @@ def test_tsai_file_in_millimetres(tmp_path: Path) -> None:
 
 
 def test_homography_text_in_every_convention(tmp_path: Path) -> None:
-    """The same camera, said in 24 ways."""
+    """One camera in 24 notations."""
     swap = np.eye(3)[[1, 0, 2]]
     units = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
     for maps, vectors, pixel, unit in itertools.product(

@@ -36,8 +36,8 @@ def test_flat_terrain_equals_flat_ground(rng: np.random.Generator) -> None:
 
 
 def test_slope_equals_a_plane(rng: np.random.Generator) -> None:
-    """Where a ray meets z = 0.1 x − 0.05 y + 1 has a closed form, and bilinear interpolation is
-    exact on planes.
+    """The intersection of a ray with z = 0.1 x − 0.05 y + 1 has a closed form, and bilinear
+    interpolation is exact on planes.
     """
     y, x = np.mgrid[-100:101:2.0, -100:101:2.0]
     camera = posed(tsai(5e-3), terrain(0.1 * x - 0.05 * y + 1))

@@ -1,5 +1,5 @@
-"""Who walks with whom: the chain of two states against enumeration, clusters against all
-partitions, and what people do.
+"""Groups by pairs: the two-state chain against enumeration, clusters against all partitions, and
+simulated walks.
 """
 
 from __future__ import annotations

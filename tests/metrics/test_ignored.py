@@ -1,5 +1,5 @@
-"""What does not count: KITTI's label files against TrackEval's own preprocessing, regions, and
-lists of what to ignore.
+"""Ignored rows: KITTI's label files against TrackEval's own preprocessing, regions, and ignore
+lists.
 """
 
 from pathlib import Path

@@ -1,6 +1,4 @@
-"""What must hold for every sequence: invariances, extremes, empty sides; and how bad input is
-refused.
-"""
+"""Laws that hold for every sequence: invariances, extremes, empty sides; refusal of bad input."""
 
 import json
 import math
@@ -41,7 +39,7 @@ def take(truth: Truth, index) -> Truth:
 
 
 def integral(truth: Truth, tracks: Tracks) -> tuple[Truth, Tracks]:
-    """The same with boxes on a coarse grid, where assignments tie often."""
+    """A random case with boxes on a coarse grid, so that assignments often tie."""
     t, o = (4 * np.round(rows.xyxy / 4) for rows in (truth, tracks))
     return truth_of(truth.frame, truth.identity, t, truth.distractor), tracks_of(
         tracks.frame, tracks.identity, o

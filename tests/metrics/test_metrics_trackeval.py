@@ -11,8 +11,8 @@ from phdtrack.types import Tracks
 
 
 def compare(ours: Scores, theirs: Figures) -> None:
-    """Where a side is empty TrackEval says 0 by convention, and we say NaN or what the formula
-    gives.
+    """For an empty side TrackEval returns 0 by convention, and we return NaN or the value of the
+    formula.
     """
     clear = theirs.clear
     hota = theirs.hota

@@ -1,5 +1,5 @@
-"""MODA, MODP, MOTA and its logarithm, delays, OSPA(2), ATA: against twins that try every mapping,
-and pooled.
+"""MODA, MODP, MOTA and its logarithm, delays, OSPA(2), ATA: against plain definitions by brute
+force, and pooled.
 """
 
 import numpy as np
@@ -41,7 +41,7 @@ def test_tracking_scores_agree_with_plain_definition(seed: int, threshold: float
 
 
 def laid(truth: Truth, tracks: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(K, n, m) distances 1 − IoU, (K, n) and (K, m) whether each trajectory is present."""
+    """(K, n, m) distances 1 − IoU, (K, n) and (K, m) True if each trajectory is present."""
     numbers = np.union1d(truth.frame, tracks.frame)
     names = np.unique(truth.identity)
     found = np.unique(tracks.identity)

@@ -1,4 +1,4 @@
-"""What training learns from: first states of tracks, volumes, and the prior over detected sizes."""
+"""Training samples: first states of tracks, volumes, and the prior over detected sizes."""
 
 import numpy as np
 import pytest
@@ -60,9 +60,7 @@ def test_volumes_equal_those_of_uniform_models():
 
 
 def test_flickering_light_gives_no_birth_samples():
-    """In one place for long, and one that moves but is gone within a second: no target has
-    entered.
-    """
+    """A long track in one place, and a moving one that ends within a second, are not entries."""
     rng = np.random.default_rng(1)
     light = track(1, 5, 200, (300, 200), (0, 0))
     shaken = light.xyxy + np.tile(rng.normal(size=(200, 2)) * 8, 2)
@@ -104,8 +102,8 @@ def test_size_range_is_slightly_wider_than_detected():
 
 @pytest.mark.parametrize("samples", [10, 30, 1000])
 def test_few_samples_keep_wide_components(samples: int):
-    """Of n samples the uniform part is that of PRIOR more that might be anywhere; one that is
-    larger stays.
+    """With n samples the uniform part is at least that of PRIOR additional uniform ones; a larger
+    one stays.
     """
     sizes = np.array([[20.0, 60], [40, 120]])
     small, large = (with_prior(learned(samples, uniform), sizes).density for uniform in (1e-3, 0.7))

@@ -66,7 +66,7 @@ def test_same_seed_gives_the_same_video() -> None:
 
 
 def test_figures_are_drawn_at_the_truth() -> None:
-    """In its box a figure changes the picture a lot; away from all figures and their shadows
+    """Inside its box a figure changes the image a lot; away from all figures and their shadows
     nothing changes.
     """
     scene = make_scene("street", 2, lead_in=-10.0, frames=80, detector=NOTHING)

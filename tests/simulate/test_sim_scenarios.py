@@ -161,7 +161,9 @@ def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
         ([1, 1, 1], [[0, 0, 10, 20], [0, 0, 5, 30], [0, 0, 5, 31]], [4 / 9, 1.0, 0.0]),
     ],
 )
-def test_covered_share_of_a_box(frames: list[int], boxes: list[list[float]], expected: list[float]) -> None:
+def test_covered_share_of_a_box(
+    frames: list[int], boxes: list[list[float]], expected: list[float]
+) -> None:
     truth = truth_rows(np.array(frames), np.arange(1, len(boxes) + 1), np.array(boxes, float))
     assert np.abs(covered(truth, np.zeros((0, 4))) - expected).max() <= 1 / 9 + 1e-9
     assert (covered(truth, np.array([[0.0, 0, 60, 40]])) == 1).all()

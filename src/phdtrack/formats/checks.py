@@ -1,4 +1,4 @@
-"""Where the rows of a file stand, and the checks that all formats share.
+"""Places of rows in files, and the checks that all formats share.
 
 An error names the first bad row by its place in the file and counts the other rows with the same
 fault.

@@ -157,7 +157,7 @@ class Pairs(Checked):
         ]
 
     def log_odds(self, frames: Sequence[Walkers]) -> list[tuple[F8, PairRows]]:
-        """For each frame the log-odds (P,) of its pairs given all frames, and the pairs."""
+        """The log-odds (P,) of the pairs of each frame, given all frames, and the pairs."""
         state = PairState()
         passes = list[tuple[PairRows, F8]]()
         last = _EMPTY

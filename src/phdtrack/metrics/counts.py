@@ -146,7 +146,7 @@ def count(sequence: SequencePair, threshold: float) -> Counts:
 
 
 def _fragments(sequence: SequencePair, mapping: Matches) -> int:
-    """How often the mapping of an object resumes after a break."""
+    """The number of times that the mapping of an object resumes after a break."""
     # As in TrackEval, a frame with an empty side does not break a mapping: such frames are not
     # counted in `turn`.
     turn = np.cumsum(sequence.boxes.all(axis=0))

@@ -22,8 +22,8 @@ from phdtrack.types import F8, I8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetErrors:
-    """Per target: ``identity`` (G,) ascending, ``frames`` (G,) in which it exists, ``mapped`` (G,)
-    of these, and ``rmse_axis`` (d, G).
+    """Errors per target: ``identity`` (G,) ascending, ``frames`` (G,) in which it exists,
+    ``mapped`` (G,) of these, and ``rmse_axis`` (d, G).
 
     Errors are in the unit of the points; NaN for a target that is never mapped.
     """

@@ -296,8 +296,8 @@ def _with_crowds(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
 
 
 def _crowds(p: SceneDensity, owner: I8, x: F8, floor: F8) -> list[I8]:
-    """For each part of the mixture, the densest crowd among the samples x (d, n) that it owns:
-    indices of samples. ``owner`` (n,) is the part that explains each sample best.
+    """The densest crowd among the samples x (d, n) of each part of the mixture, as indices of
+    samples. ``owner`` (n,) is the part that explains each sample best.
 
     A crowd is a sample with its nearest neighbours in position, as many as a component must
     explain. Its density is compared with that of the mixture.
