@@ -77,7 +77,7 @@ PIXELS = (1, 3, 6)
 # The command line with a change detector that takes every camera to stand still.
 _STANDING = """from phdtrack.cli.app import main
 from phdtrack.detect.change import ChangeDetector
-ChangeDetector._steadied = lambda self, pictures: pictures
+ChangeDetector._stabilise = lambda self, pictures: pictures
 main()"""
 # Parts of the change detector that are left out in turn, and what the page calls them.
 PARTS = {
@@ -149,7 +149,7 @@ def lacking(part: str, source: VideoSource) -> Detector:
             samples=np.zeros((len(inner._past.samples), 0), np.uint8)
         )
     elif part == "heights":
-        inner._usual = None
+        inner._heights = None
     return detector
 
 

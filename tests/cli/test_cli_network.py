@@ -84,7 +84,7 @@ def test_a_network_is_tracked_with_the_usual_settings_and_its_classes(
         raise AssertionError("it was looked at again")
 
     with monkeypatch.context() as during:
-        during.setattr(OnnxDetector, "many", never)
+        during.setattr(OnnxDetector, "detect_batch", never)
         assert track("--overwrite", "--classes", "bus")["detections_reused"] is True
     assert {line.split(",")[12] for line in Path("run/tracks.csv").read_text().splitlines()} == {
         "bus"

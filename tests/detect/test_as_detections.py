@@ -79,7 +79,7 @@ def test_a_whole_result_of_ultralytics(wrapped: Any) -> None:
 @pytest.mark.parametrize(
     ("box", "words"),
     [
-        ([-9, 5, 0, 9], "1 of 2 boxes lie outside of the frame of 640x480 pixels"),
+        ([-9, 5, 0, 9], "1 of 2 boxes lie outside the frame of 640x480 pixels"),
         ([10, 480, 20, 500], "1 of 2 boxes lie outside"),
         ([-9, -9, 1, 1], ""),
     ],
@@ -90,7 +90,9 @@ def test_boxes_outside_of_the_frame(box: list[float], words: str) -> None:
 
 
 def test_boxes_in_shares_of_the_frame() -> None:
-    assert "not shares of its size" in doubtful(as_detections([[0.1, 0.2, 0.3, 0.9]]), (640, 480))
+    assert "not in shares of its size" in doubtful(
+        as_detections([[0.1, 0.2, 0.3, 0.9]]), (640, 480)
+    )
     assert doubtful(as_detections([]), (640, 480)) == ""
 
 

@@ -12,7 +12,8 @@ from detect_scenes import Scene
 from phdtrack.arrays import iou
 from phdtrack.detect import make_detector
 from phdtrack.detect.base import Detector
-from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
+from phdtrack.detect.change import ChangeDetector
+from phdtrack.detect.mean_background import MeanBackgroundDetector
 from phdtrack.detect.scene_knowledge import knowledge, restore
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame, Image

@@ -5,6 +5,7 @@ what is refused.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper
 
 import networks
+from phdtrack.detect import onnx_layouts
 from phdtrack.detect.base import class_names, detect_all
 from phdtrack.detect.detectors import detector_parameters, make_detector
 from phdtrack.detect.onnx import OnnxDetector
@@ -110,10 +112,9 @@ def test_the_padding_is_undone_for_pictures_of_any_size(
 
 
 def test_a_free_input_has_no_more_grey_than_the_stride_asks_for(free: OnnxDetector) -> None:
-    placed = free._place(networks.scene(400, 200, {}).image)
+    placed = free.letterbox(networks.scene(400, 200, {}).image)
     assert (placed.size.tolist(), placed.tensor.shape) == ([192.0, 96.0], (3, 96, 192))
-    assert free._place(networks.scene(101, 400, {}).image).size.tolist() == [64.0, 192.0]
-    assert free._longer == 192
+    assert free.letterbox(networks.scene(101, 400, {}).image).size.tolist() == [64.0, 192.0]
 
 
 @pytest.mark.parametrize(
@@ -158,7 +159,7 @@ def test_frames_looked_at_together_give_what_each_gives_alone(
     ]
     frames.append(networks.scene(90, 170, {0: (10, 20, 50, 90)}, 8))
     many = OnnxDetector(str(path), size=0, batch=3)
-    assert many.together == {"N": 3, 1: 1, 4: 4}[shape[0]]
+    assert many.batch_size == {"N": 3, 1: 1, 4: 4}[shape[0]]
     alone = [make_detector(f"onnx:{path}")(frame) for frame in frames]
     together = list(detect_all(many, iter(frames)))
     assert [frame.number for frame, *_ in together] == list(range(1, 9))
@@ -199,7 +200,7 @@ def test_classes_by_name_or_number(tmp_path: Path) -> None:
     silent = networks.write(tmp_path / "silent.onnx", metadata={"names": "{'a': 1"})
     assert class_names(make_detector(f"onnx:{silent}")) == {}
     assert found_by(silent, frame, classes="1")[2].tolist() == [1]
-    with pytest.raises(InputError, match="It does not name them: give numbers"):
+    with pytest.raises(InputError, match="does not name its classes: give their numbers"):
         make_detector(f"onnx:{silent}", classes="person")
     listed = networks.write(tmp_path / "listed.onnx", metadata={"names": "['a', 'b', 'c']"})
     assert class_names(make_detector(f"onnx:{listed}")) == {0: "a", 1: "b", 2: "c"}
@@ -243,39 +244,39 @@ def constant(
 @pytest.mark.parametrize(
     ("shapes", "metadata", "more", "classes", "decode"),
     [
-        ({"a": (1, 84, 8400)}, {}, {}, 80, "_grid"),
-        ({"a": (1, 25200, 85)}, {}, {}, 80, "_grid"),
-        ({"a": (1, 25200, 6)}, {}, {}, 1, "_grid"),
-        ({"a": (1, 25200, 85), "b": (1, 3, 80, 80, 85)}, {}, {}, 80, "_grid"),
+        ({"a": (1, 84, 8400)}, {}, {}, 80, onnx_layouts.grid),
+        ({"a": (1, 25200, 85)}, {}, {}, 80, onnx_layouts.grid),
+        ({"a": (1, 25200, 6)}, {}, {}, 1, onnx_layouts.grid),
+        ({"a": (1, 25200, 85), "b": (1, 3, 80, 80, 85)}, {}, {}, 80, onnx_layouts.grid),
         # A small input: fewer rows than columns. Two classes, and one: six numbers that are no
         # end-to-end row.
-        ({"a": (1, 84, 84)}, {"names": str(["x"] * 80)}, {}, 80, "_grid"),
-        ({"a": (1, 300, 6)}, {"names": "['x', 'y']"}, {}, 2, "_grid"),
-        ({"a": (1, 252, 6)}, {"names": "['x']"}, {}, 1, "_grid"),
-        ({"a": (1, 252, 6)}, {"names": "['x']"}, {"layout": "end2end"}, 1, "_end_to_end"),
+        ({"a": (1, 84, 84)}, {"names": str(["x"] * 80)}, {}, 80, onnx_layouts.grid),
+        ({"a": (1, 300, 6)}, {"names": "['x', 'y']"}, {}, 2, onnx_layouts.grid),
+        ({"a": (1, 252, 6)}, {"names": "['x']"}, {}, 1, onnx_layouts.grid),
+        ({"a": (1, 252, 6)}, {"names": "['x']"}, {"layout": "end2end"}, 1, onnx_layouts.end_to_end),
         (
             {"a": (1, 39, 84), "b": (1, 32, 16, 16)},
             {"names": "['x', 'y', 'z']", "task": "segment"},
             {},
             3,
-            "_grid",
+            onnx_layouts.grid,
         ),
-        ({"a": (1, 300, 84)}, {"names": str(["x"] * 80)}, {}, 80, "_grid"),
+        ({"a": (1, 300, 84)}, {"names": str(["x"] * 80)}, {}, 80, onnx_layouts.grid),
         (
             {"logits": (1, 300, 91), "pred_boxes": (1, 300, 4), "last_hidden_state": (1, 300, 256)},
             {},
             {},
             91,
-            "_queries",
+            onnx_layouts.queries,
         ),
-        ({"a": (1, 300, 6)}, {"value": "0"}, {}, 0, "_end_to_end"),
-        ({"a": (1, 0, 6)}, {"value": "0", "names": "['x']"}, {}, 1, "_end_to_end"),
+        ({"a": (1, 300, 6)}, {"value": "0"}, {}, 0, onnx_layouts.end_to_end),
+        ({"a": (1, 0, 6)}, {"value": "0", "names": "['x']"}, {}, 1, onnx_layouts.end_to_end),
         (
             {"a": (1, 300, 38), "b": (1, 32, 16, 16)},
             {"value": "0", "names": "['x']", "task": "segment"},
             {},
             1,
-            "_end_to_end",
+            onnx_layouts.end_to_end,
         ),
     ],
 )
@@ -284,15 +285,15 @@ def test_shapes_and_metadata_say_what_the_outputs_are(
     metadata: dict[str, str],
     more: dict[str, str],
     classes: int,
-    decode: str,
+    decode: Callable[..., object],
     tmp_path: Path,
 ) -> None:
     path = constant(tmp_path / "net.onnx", metadata, float(metadata.get("value", "0.25")), **shapes)
     detector = OnnxDetector(str(path), **more)  # type: ignore[arg-type]
-    layout = detector._layout
-    assert (layout.classes, layout.decode.func.__name__) == (classes, decode)  # type: ignore[attr-defined]
+    layout = detector.output_layout
+    assert (layout.classes, layout.decode.func) == (classes, decode)  # type: ignore[attr-defined]
     if classes == 80 and not metadata:
-        assert (detector.class_names[0], detector.names[79]) == ("person", "toothbrush")
+        assert (detector.class_names[0], detector.class_names[79]) == ("person", "toothbrush")
 
 
 @pytest.mark.parametrize(
@@ -316,7 +317,7 @@ def test_what_is_not_recognised_is_shown_and_what_is_understood(
     path = constant(tmp_path / "net.onnx", metadata, float(metadata.get("value", 0)), **shapes)
     with pytest.raises(
         InputError,
-        match=r"net\.onnx: its outputs are not recognised: .*Understood are \(1, 4 \+ classes",
+        match=r"net\.onnx: the network's outputs are not recognised: .*Supported are \(1, 4",
     ) as error:
         OnnxDetector(str(path))
     assert "inputs: images tensor(float) (1, 3, 64, 64)" in str(error.value)
@@ -335,20 +336,20 @@ def test_what_is_no_network_for_pictures_is_refused(
         (
             "onnx:cut.onnx",
             {},
-            r"cut\.onnx: expected a network that onnxruntime .* can run: .*Is it an ONNX file",
+            r"cut\.onnx: onnxruntime .* cannot run this network: .*Is it an ONNX file",
         ),
-        ("onnx:text.onnx", {}, r"text\.onnx: expected a network"),
+        ("onnx:text.onnx", {}, r"text\.onnx: onnxruntime .* cannot run this network"),
         ("onnx:none.onnx", {}, r"none\.onnx: there is no such file"),
         ("onnx:.", {}, "came a folder"),
         (
             "onnx:one.onnx",
             {},
-            r"its inputs are not recognised: images tensor\(float\) \(1, 1, 64, 64\). One picture",
+            r"inputs are not supported: images tensor\(float\) \(1, 1, 64, 64\). The network must",
         ),
         (
             "onnx:net.onnx",
             {"size": 320},
-            r"detector\.size: the network takes pictures of 128x96 pixels only",
+            r"detector\.size: the network only takes pictures of 128x96 pixels",
         ),
         (
             "onnx:net.onnx",
@@ -364,7 +365,7 @@ def test_what_is_no_network_for_pictures_is_refused(
         (
             "yolo",
             {},
-            "no detector 'yolo'. There are change, .*onnx:FILE; its boxes: --detections FILE",
+            "no detector 'yolo'. There are change, .*onnx:FILE, for its boxes --detections FILE",
         ),
         ("yolo11n.onnx", {}, r"no detector 'yolo11n\.onnx'\. Use onnx:yolo11n\.onnx"),
     ):
@@ -385,14 +386,14 @@ def test_pixels_as_the_network_was_trained(tmp_path: Path) -> None:
     frame = networks.scene(200, 120, {0: (20, 30, 60, 80)})
     assert found_by(path, frame, bgr=True)[2].tolist() == [2]
     np.testing.assert_allclose(found_by(path, frame, stretch=True)[0], [[20, 30, 60, 80]], atol=1.3)
-    red = OnnxDetector(str(path), stretch=True)._place(frame.image).tensor[:, 50, 25]
+    red = OnnxDetector(str(path), stretch=True).letterbox(frame.image).tensor[:, 50, 25]
     means = np.array([0.485, 0.456, 0.406])
     deviations = np.array([0.229, 0.224, 0.225])
     np.testing.assert_allclose(red, [1, 0, 0], atol=1e-6)
     for pixels, value in (("bytes", red * 255), ("imagenet", (red - means) / deviations)):
         taken = (
             OnnxDetector(str(path), stretch=True, pixels=pixels)
-            ._place(frame.image)
+            .letterbox(frame.image)
             .tensor[:, 50, 25]
         )
         np.testing.assert_allclose(taken, value, atol=1e-5)

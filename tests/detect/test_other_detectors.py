@@ -118,7 +118,7 @@ def test_a_region_of_interest(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such file"):
         Masked(inner, tmp_path / "none.png")
     (tmp_path / "text.png").write_text("no")
-    with pytest.raises(InputError, match="not an image"):
+    with pytest.raises(InputError, match="not a readable image"):
         Masked(inner, tmp_path / "text.png")
 
 

@@ -12,6 +12,7 @@ from phdtrack.detect.base import pose_of
 from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
 from phdtrack.detect.scene_knowledge import knowledge, restore, scene_warnings, study
+from phdtrack.detect.scene_samples import sample_history
 from phdtrack.detect.wrappers import Rescaled
 from phdtrack.devices import Planar, planes_of
 from phdtrack.kernels.planes import luma, smooth
@@ -117,9 +118,7 @@ def test_who_stands_there_at_the_beginning_is_detected_at_once(width: int, jumps
 
 
 def test_the_extremes_of_samples_are_those_of_a_plain_sort() -> None:
-    detector = ChangeDetector()
-    study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(crowd())])
-    past = detector._past
+    past = sample_history([planes_of(image) for image in crowd()], (120, 160))
     for found, expected in zip(
         (past.extremes, past.near), twin.extremes(past.samples, 120, 160), strict=True
     ):
@@ -139,11 +138,10 @@ def test_the_noise_of_a_scene_is_the_median_of_its_energies(height: int, width: 
     pictures = [planes_of(image) for image in samples]
     for one in pictures:
         smooth(one, (height, width))
-    energies = np.stack([detector._compared(one)[1] for one in pictures])
+    energies = np.stack([detector.compared(one)[1] for one in pictures])
     typical = (np.median(energies, axis=0) / np.float32(0.789)).astype(np.float32)
     usual = np.minimum(cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8)), 60)
-    detector._learn_scene_noise(pictures)
-    np.testing.assert_allclose(detector._scene, usual, rtol=1e-5)
+    np.testing.assert_allclose(detector.knowledge()["scene"], usual, rtol=1e-5)
     assert usual.std() > 0.1
 
 

@@ -1,10 +1,14 @@
-"""From whatever a detector hands over to `Detections`, with every value checked.
+"""Conversion of a detector's output to `Detections`, and checks of its values.
 
-Accepted: a `Detections`; anything with ``.xyxy`` and, where it has them, ``.confidence`` (or
-``.conf``) and ``.class_id`` (or ``.cls``), as supervision and ultralytics write them; a whole
-result of ultralytics, whose ``.boxes`` are such, also as the only one of a list; an array-like of
-shape (N, 4) xyxy, (N, 5) with confidence, (N, 6) with confidence and class. Tensors are copied to
-the CPU. No boxes: an empty array of any shape.
+Accepted are:
+
+* a `Detections`;
+* any object with ``.xyxy`` and optionally ``.confidence`` (or ``.conf``) and ``.class_id`` (or
+  ``.cls``), as supervision and ultralytics have them;
+* a result of ultralytics, whose ``.boxes`` are such an object, or a list of one result;
+* an array-like of shape (N, 4) xyxy, (N, 5) with confidence, or (N, 6) with confidence and class.
+
+Tensors are copied to the CPU. An empty array of any shape means no boxes.
 """
 
 from __future__ import annotations
@@ -25,82 +29,96 @@ _COLUMNS = (
     " class"
 )
 _LARGEST_CLASS = 2.0**53
-# The shortest side of a box, pixels; the longest, and how far its centre may be outside, in frames.
-# Where the size of the frame is not known, a side of it that no camera has.
-SHORTEST = 1e-3
-LONGEST = 10.0
-UNKNOWN = 1e6
-# Classes that are tracked apart, the first.
+# Sides of a box: at least so many pixels, at most so many times the frame's, which is also how far
+# the centre may lie outside.
+_MIN_SIDE = 1e-3
+_MAX_FRAMES = 10.0
+# Stands for the frame's sides if they are unknown: larger than any camera's.
+_UNKNOWN_SIDE = 1e6
+# Classes that are tracked separately; the first ones are kept.
 MAX_CLASSES = 100
-# Pixels that boxes in shares of the image's size do not exceed.
-_SMALL = 1.5
-# Boxes that are enough to tell corners from sizes; the shares of them that reach beyond the frame,
-# and look like corners.
-_SOME = 20
-_MOST = 0.5
-_ALMOST_ALL = 0.95
+# Boxes in shares of the image's size do not exceed this number.
+_MAX_SHARE = 1.5
+# Sizes are in fact corners if, of at least so many boxes, these shares exceed the frame, and have a
+# second corner below and right of the first.
+_MIN_BOXES = 20
+_MIN_BEYOND = 0.5
+_MIN_CORNERS = 0.95
 
 
 def as_detections(obj: object, *, where: str = "") -> Detections:
-    """``obj``, in one of the forms above, as `Detections`, checked; ``where`` begins the message of
-    an error ("frame 12").
+    """Convert a detector's output, in one of the forms above, to checked `Detections`.
 
-    Raises `InputError` where it has another shape, or values that are not finite numbers: then it
-    names the row.
+    ``where`` begins error messages ("frame 12"). Raises `InputError` for another shape, and for
+    values that are not finite numbers, with the row.
     """
     if isinstance(obj, Detections):
         return _checked(obj, where)
     if obj is None:
-        cure = "Where nothing was detected give an empty array: numpy.empty((0, 4))."
+        cure = "If nothing was detected pass an empty array: numpy.empty((0, 4))."
         raise InputError("expected boxes, got None", where=where, cure=cure)
-    if isinstance(obj, list | tuple) and len(obj) == 1:
-        whole = obj[0]
-    else:
-        whole = obj
-    if getattr(whole, "obb", None) is not None:
+    result = obj[0] if isinstance(obj, list | tuple) and len(obj) == 1 else obj
+    if getattr(result, "obb", None) is not None:
         raise InputError(
             "expected upright boxes, got oriented ones",
             where=where,
-            cure="Give result.obb, which has .xyxy.",
+            cure="Pass result.obb, which has .xyxy.",
         )
-    inner = getattr(whole, "boxes", None)
-    obj = obj if inner is None else inner
+    inner = getattr(result, "boxes", None)
+    if inner is not None:
+        obj = inner
     boxes = getattr(obj, "xyxy", None)
-    table = _numbers(obj if boxes is None else boxes, where)
-    n = len(table) if table.size else 0
-    if boxes is not None:
-        if n and (table.ndim != 2 or table.shape[1] != 4):
-            raise InputError(f"expected .xyxy of shape (N, 4), got {table.shape}", where=where)
-        score, label = (
-            _attribute(obj, names, n, where)
-            for names in (("confidence", "conf"), ("class_id", "cls"))
-        )
-    elif n and (table.ndim != 2 or table.shape[1] not in (4, 5, 6)):
-        if table.ndim == 1:
-            cure = "A single box is an array of one row: [[left, top, right, bottom]]."
-        else:
-            cure = ""
-        raise InputError(
-            f"expected {_COLUMNS}; got an array of shape {table.shape}", where=where, cure=cure
-        )
+    if boxes is None:
+        xyxy, score, label = _columns(_numbers(obj, where), where)
     else:
-        score, label = (table[:, k] if n and table.shape[1] > k else None for k in (4, 5))
+        xyxy = _numbers(boxes, where)
+        n = len(xyxy) if xyxy.size else 0
+        if n and (xyxy.ndim != 2 or xyxy.shape[1] != 4):
+            raise InputError(f"expected .xyxy of shape (N, 4), got {xyxy.shape}", where=where)
+        score = _attribute(obj, ("confidence", "conf"), n, where)
+        label = _attribute(obj, ("class_id", "cls"), n, where)
+    n = len(xyxy) if xyxy.size else 0
     if label is None:
         label = np.zeros(n)
-    else:
-        label = label
     whole = (np.abs(label) < _LARGEST_CLASS) & (np.rint(label) == label)
     if not whole.all():
         row = int(np.argmin(whole))
         raise InputError(
-            f"row {row} (from 0): the class must be a whole number, not {label[row]:g}", where=where
+            f"row {row} (from 0): the class must be a whole number, got {label[row]:g}", where=where
         )
-    return _checked(Detections.of(table[:, :4] if n else [], score, label.astype(np.int64)), where)
+    return _checked(Detections.of(xyxy if n else [], score, label.astype(np.int64)), where)
+
+
+def _columns(table: F8, where: str) -> tuple[F8, F8 | None, F8 | None]:
+    """Boxes (N, 4), confidence and class of a table with 4 to 6 columns; None for columns that it
+    lacks. Raises `InputError` for another shape.
+    """
+    if not table.size:
+        return table, None, None
+    if table.ndim != 2 or table.shape[1] not in (4, 5, 6):
+        cure = ""
+        if table.ndim == 1:
+            cure = "A single box is an array of one row: [[left, top, right, bottom]]."
+        raise InputError(
+            f"expected {_COLUMNS}; got an array of shape {table.shape}", where=where, cure=cure
+        )
+    columns = table.shape[1]
+    score = table[:, 4] if columns > 4 else None
+    label = table[:, 5] if columns > 5 else None
+    return table[:, :4], score, label
 
 
 class LeftOut(NamedTuple):
-    """How many boxes are left out: of those no picture shows, that are not asked for, and that are
-    too many.
+    """Numbers of boxes that are left out, by reason: impossible, unwanted, or too many.
+
+    Attributes
+    ----------
+    empty : the width or height is not above 0.
+    misplaced : far too small, too large, or too far outside the frame.
+    unwanted : of a class that was not chosen, or too small or weak for its class.
+    classes : of more classes than allowed.
+    crowded : too many in one place.
+    surplus : too many in a frame.
     """
 
     empty: int = 0
@@ -111,40 +129,40 @@ class LeftOut(NamedTuple):
     surplus: int = 0
 
     def with_more(self, other: LeftOut) -> LeftOut:
-        """The sums."""
+        """The sum of both."""
         return LeftOut(*(a + b for a, b in zip(self, other, strict=True)))
 
     def sentences(self, known: LeftOut | None = None) -> Iterator[str]:
-        """How many and why, but for reasons that are ``known``."""
+        """Yield a sentence for each reason, except those that are ``known`` already."""
         for count, reason, before in zip(self, _REASONS, known or LeftOut(), strict=True):
             if count and not before:
-                yield f"{count} box{'es' * (count > 1)} left out: {reason}"
+                boxes = "box" if count == 1 else "boxes"
+                yield f"{count} {boxes} left out: {reason}"
 
 
 _REASONS = (
-    "their width or height is not above 0",
+    "width or height not above 0",
     (
-        f"a side is below {SHORTEST:g} pixels or above {LONGEST:g} frames, or their centre is so"
-        " far outside"
+        f"a side below {_MIN_SIDE:g} pixels or above {_MAX_FRAMES:g} frames, or the centre as far"
+        " outside"
     ),
-    "their class was not asked for, or their size or score is below the least of their class",
-    f"there are more than {MAX_CLASSES} classes",
-    "more are in one place than limits.max_in_one_place",
-    "a frame has more than limits.max_detections",
+    "class not chosen, or size or score below the minimum of the class",
+    f"more than {MAX_CLASSES} classes",
+    "more in one place than limits.max_in_one_place",
+    "more in a frame than limits.max_detections",
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Limits(Checked):
-    """How many detections a frame may have. Of more those of the highest scores are taken, of equal
-    ones the first.
+    """Keep at most so many detections, highest scores first; of equal scores the first in a frame.
 
     Parameters
     ----------
-    max_detections : detections of a frame.
-    max_in_one_place : detections that lie in each other's gates, so that each could be any other's
-        target.
-    frame_size : the image's width and height in pixels; (0, 0): not known.
+    max_detections : detections in a frame.
+    max_in_one_place : detections in each other's gates, so that each may belong to the same
+        targets.
+    frame_size : the image's width and height in pixels; (0, 0): unknown.
     """
 
     max_detections: PositiveCount = 1000
@@ -152,130 +170,129 @@ class Limits(Checked):
     frame_size: tuple[float, float] = (0.0, 0.0)
 
     def plausible(self, found: Detections) -> tuple[I8, LeftOut]:
-        """(k,) rows of the boxes that a picture may show; detectors give others now and then, which
-        say nothing.
-        """
+        """(k,) rows of boxes with plausible size and place, and the numbers of the others."""
         low = found.xyxy[:, :2]
         high = found.xyxy[:, 2:]
+        frame = np.full(2, _UNKNOWN_SIDE)
         if min(self.frame_size) > 0:
             frame = np.array(self.frame_size)
-        else:
-            frame = np.full(2, UNKNOWN)
         with np.errstate(over="ignore"):
             sides = high - low
             away = np.abs(low / 2 + high / 2 - frame / 2)
         sized = (sides > 0).all(axis=1)
-        near = (
-            (sides >= SHORTEST) & (sides <= LONGEST * frame) & (away <= (LONGEST + 0.5) * frame)
-        ).all(axis=1)
+        possible = (sides >= _MIN_SIDE) & (sides <= _MAX_FRAMES * frame)
+        near = (possible & (away <= (_MAX_FRAMES + 0.5) * frame)).all(axis=1)
         return np.flatnonzero(near), LeftOut(int((~sized).sum()), int((sized & ~near).sum()))
 
     def best(self, confidence: F8) -> I8:
-        """(k,) rows of those that are taken of boxes with these scores (N,), ascending."""
+        """(k,) rows of the best of boxes with these scores (N,), ascending."""
         if len(confidence) <= self.max_detections:
             return np.arange(len(confidence))
         return np.sort(np.argsort(-confidence, kind="stable")[: self.max_detections])
 
 
 def doubtful(found: Detections, size: tuple[float, float]) -> str:
-    """What looks like a mistake in the units of a frame's boxes, where its size is known; empty
-    where nothing does.
-    """
+    """A sentence if the boxes of a frame of known size seem to have the wrong units; else empty."""
     if not len(found) or min(size) <= 0:
         return ""
-    most = found.xyxy.max(axis=0)
-    least = found.xyxy[:, 2:].min()
-    if most[2:].max() <= _SMALL:
+    largest = found.xyxy.max(axis=0)
+    if largest[2:].max() <= _MAX_SHARE:
         return (
-            f"no box reaches beyond {most.max():.3g} pixels: boxes are in pixels of the image, not"
-            " shares of its size"
+            f"no coordinate exceeds {largest.max():.3g}: boxes must be in pixels of the image, not"
+            " in shares of its size"
         )
-    if least > 0 and most[0] < size[0] and most[1] < size[1]:
+    if found.xyxy[:, 2:].min() > 0 and largest[0] < size[0] and largest[1] < size[1]:
         return ""
     outside = ((found.xyxy[:, 2:] <= 0) | (found.xyxy[:, :2] >= size)).any(axis=1).sum()
     return (
-        f"{outside} of {len(found)} boxes lie outside of the frame of {size[0]:g}x{size[1]:g}"
-        " pixels"
+        f"{outside} of {len(found)} boxes lie outside the frame of {size[0]:g}x{size[1]:g} pixels"
     )
 
 
 def within_frame(
     table: DetectionTable, info: SequenceInfo, path: Path
 ) -> tuple[DetectionTable, tuple[str, ...]]:
-    """The detections of which any part is in the frame, and a sentence for each reason why some
-    were left out.
-
-    Raises `InputError` where all are outside, or look like shares of the frame's size, like corners
-    in place of sizes, or like scores in place of heights.
+    """The detections that lie at least partly in the frame, and a sentence for each reason why
+    others were left out.
 
     Parameters
     ----------
     table : detections of a sequence.
     info : its size.
     path : their file, for messages.
+
+    Raises
+    ------
+    InputError : all boxes are outside, or they look like shares of the frame's size, like corners
+        in place of sizes, or like scores in place of heights.
     """
-    left, top, right, bottom = table.detections.xyxy.T
-    if table.detections.xyxy.max(initial=0) <= _SMALL < min(info.width, info.height) and len(table):
-        cure = "Multiply them by the frame's width and height."
-        raise InputError(
-            doubtful(table.detections, (info.width, info.height)), where=path, cure=cure
-        )
-    beyond = (right > info.width) | (bottom > info.height)
-    corners = (right - left > left) & (bottom - top > top)
-    if len(table) >= _SOME and beyond.mean() > _MOST and corners.mean() > _ALMOST_ALL:
-        problem = (
-            f"{beyond.sum()} of {len(table)} boxes reach beyond the frame of"
-            f" {info.width}x{info.height} pixels"
-        )
-        cure = "Name the columns in a header line: frame, left, top, right, bottom, score."
-        raise InputError(f"{problem}, as where corners are taken for sizes", where=path, cure=cure)
-    high = bottom - top
-    if (
-        len(table) >= _SOME
-        and high.max() <= 1
-        and np.ptp(high) > 0
-        and (table.detections.confidence == 1).all()
-    ):
-        problem = (
-            f"no box is higher than {high.max():.3g} pixels and none has a score, as where a score"
-            " is taken for the height"
-        )
-        cure = "Name the columns in a header line: frame, left, top, width, height, score."
-        raise InputError(problem, where=path, cure=cure)
-    kept = share_inside(table.detections.xyxy, info.width, info.height) > 0
-    empty: tuple[str, ...]
+    _check_units(table, info, path)
+    sentences = list[str]()
     if table.empty:
-        empty = (f"{path}: {table.empty} of the boxes have width or height 0 and are left out",)
-    else:
-        empty = ()
+        sentences.append(
+            f"{path}: {table.empty} of the boxes have width or height 0 and are left out"
+        )
+    kept = share_inside(table.detections.xyxy, info.width, info.height) > 0
     if kept.all():
-        return table, empty
+        return table, tuple(sentences)
     outside = int((~kept).sum())
-    said = (
+    problem = (
         f"{outside} of {len(table)} boxes lie outside the frame of {info.width}x{info.height}"
         " pixels"
     )
     if outside == len(table):
         raise InputError(
-            said,
+            problem,
             where=path,
-            cure="Boxes are in pixels of the original video: check them, or --frame-size.",
+            cure="Boxes must be in pixels of the original video: check them, or --frame-size.",
         )
-    sentence = f"{path}: {said} and are left out, the first in frame {int(table.frame[~kept][0])}"
+    first = int(table.frame[~kept][0])
+    sentences.append(f"{path}: {problem} and are left out, the first in frame {first}")
     inside = DetectionTable(
         table.frame[kept], table.detections.select(kept), table.empty, table.names
     )
-    return inside, (*empty, sentence)
+    return inside, tuple(sentences)
+
+
+def _check_units(table: DetectionTable, info: SequenceInfo, path: Path) -> None:
+    """Raise `InputError` if the columns of a file seem to have been misread."""
+    if not len(table):
+        return
+    left, top, right, bottom = table.detections.xyxy.T
+    if table.detections.xyxy.max() <= _MAX_SHARE < min(info.width, info.height):
+        raise InputError(
+            doubtful(table.detections, (info.width, info.height)),
+            where=path,
+            cure="Multiply them by the frame's width and height.",
+        )
+    if len(table) < _MIN_BOXES:
+        return
+    beyond = (right > info.width) | (bottom > info.height)
+    corners = (right - left > left) & (bottom - top > top)
+    if beyond.mean() > _MIN_BEYOND and corners.mean() > _MIN_CORNERS:
+        raise InputError(
+            f"{beyond.sum()} of {len(table)} boxes exceed the frame of"
+            f" {info.width}x{info.height} pixels; perhaps corners were read as sizes",
+            where=path,
+            cure="Name the columns in a header line: frame, left, top, right, bottom, score.",
+        )
+    height = bottom - top
+    scored = (table.detections.confidence != 1).any()
+    if height.max() <= 1 and np.ptp(height) > 0 and not scored:
+        raise InputError(
+            f"no box is higher than {height.max():.3g} pixels and none has a score; perhaps a score"
+            " was read as the height",
+            where=path,
+            cure="Name the columns in a header line: frame, left, top, width, height, score.",
+        )
 
 
 def _numbers(values: object, where: str) -> F8:
-    """``values`` as float64; InputError where they are not numbers in a rectangular table."""
+    """``values`` as float64. Raises `InputError` if they form no rectangular table of numbers."""
     try:
-        # A tensor, which may be on a GPU, of a type that NumPy does not have.
+        # A tensor may be on a GPU, or of a type that NumPy does not have.
         detach = getattr(values, "detach", None)
-        if detach is None:
-            values = values
-        else:
+        if detach is not None:
             values = detach().cpu().double()
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError) as error:
@@ -287,11 +304,11 @@ def _numbers(values: object, where: str) -> F8:
 
 
 def _attribute(obj: object, names: tuple[str, str], n: int, where: str) -> F8 | None:
-    """The first of the attributes ``names`` that ``obj`` has, (n,); None where it has none."""
+    """(n,) the first of the attributes ``names`` that ``obj`` has; None if it has none."""
     for name in names:
-        given: Any = getattr(obj, name, None)
-        if given is not None:
-            values = _numbers(given, where)
+        value: Any = getattr(obj, name, None)
+        if value is not None:
+            values = _numbers(value, where)
             if values.size != n:
                 raise InputError(
                     f"expected .{name} with one value for each of {n} boxes, got {values.shape}",
@@ -302,7 +319,7 @@ def _attribute(obj: object, names: tuple[str, str], n: int, where: str) -> F8 | 
 
 
 def _checked(found: Detections, where: str) -> Detections:
-    """``found`` itself, where its shapes agree and its values make sense."""
+    """``found`` itself. Raises `InputError` if its shapes or values are wrong."""
     n = len(found.xyxy)
     xyxy = found.xyxy
     cov = found.covariance

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from phdtrack.detect.base import Detector
-from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
+from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.components import BlobSettings
+from phdtrack.detect.mean_background import MeanBackgroundDetector
 from phdtrack.detect.onnx import OnnxDetector
 from phdtrack.detect.opencv import FaceDetector, PersonDetector, SubtractorDetector
 from phdtrack.detect.wrappers import Masked, Rescaled

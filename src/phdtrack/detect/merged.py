@@ -1,22 +1,23 @@
-"""Merged measurements: one detection for each of the targets that a background detector reports as
-one blob.
+"""The merged-measurement model: divides one box of a background detector among several targets.
 
-Small groups of blobs and expected targets that touch are explained together. An explanation gives
-each target one blob or none; its log-likelihood is the sum over
+Boxes and predicted targets that touch are explained together in small groups. An explanation
+assigns each target one box or none; its log-likelihood is the sum of the logarithms of
 
-    missed target     1 − r (p_D + (1 − p_D) c)      r: probability that it exists; c: share of it
-    that a blob covers blob of one       r p_D N(z; h(x), R + H P Hᵀ) blob of k         ∏ r p_D ·
-    ρ^(k−1) · N(edges of the blob; the targets' outermost edges) blob of none      κ(z)
+    missed target      1 − r (p_D + (1 − p_D) c)
+    box of 1 target    r p_D N(z; h(x), R + H P Hᵀ)
+    box of k targets   ∏ r p_D · ρ^(k−1) · N(edges of the box; the targets' outermost edges)
+    box of no target   κ(z)
 
-with ρ the probability that targets that touch are reported as one blob. In the best explanation
-every target of a merged blob gets a detection of its expected size where the blob's edges put it.
-The blob's edge on each side is that of the target that is expected to lie outermost there. In the
-sensor's noise, with the centre's deviation half the size's, the edges of one box are independent.
+with r the target's probability of existence, c the share of it that a box covers, and ρ the
+probability that touching targets are reported as one box. In the best explanation every target of a
+merged box gets a detection of its predicted size, placed by the edges of the box. Each edge of the
+box is the edge of the target that is predicted to lie outermost on that side. With the sensor's
+noise, the centre's deviation being half of the size's, the edges of one box are independent.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,15 +29,14 @@ from phdtrack.types import F8, I8, Bool, Detections, Estimates, Explanation
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedTargets:
-    """Targets that the last frames showed, before or after a frame.
+    """The targets of the last frames, before or after prediction.
 
     Attributes
     ----------
     state : (d, n).      covariance : (n, d, d).
-    existence : (n,) probability r that each is there.
-    hidden : (n,) seconds for which neither its left nor its right edge was visible in a merged
-        blob.
-    separate : (n,) seconds for which each had a blob to itself.
+    existence : (n,) probability r that each exists.
+    hidden : (n,) seconds for which neither its left nor its right edge was visible in a merged box.
+    separate : (n,) seconds for which each had a box of its own.
     """
 
     state: F8
@@ -49,7 +49,7 @@ class ExpectedTargets:
         return len(self.existence)
 
     def lives(self, model: Model) -> Lives:
-        """What the kernels are told of them, but where they are."""
+        """The parameters of the targets that kernels need, except positions."""
         return Lives(self.existence, model.sensor.p_detect(self.state), self.hidden, self.separate)
 
     def select(self, index: I8 | Bool) -> ExpectedTargets:
@@ -60,24 +60,31 @@ class ExpectedTargets:
         )
 
     def joined(self, other: ExpectedTargets) -> ExpectedTargets:
-        """The targets of both."""
-        if not len(self) or not len(other):
-            return self if len(self) else other
-        pairs = [(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)]
-        return ExpectedTargets(np.hstack(pairs[0]), *(np.concatenate(pair) for pair in pairs[1:]))
+        """The targets of this and the other record."""
+        if not len(self):
+            return other
+        if not len(other):
+            return self
+        return ExpectedTargets(
+            np.hstack([self.state, other.state]),
+            np.concatenate([self.covariance, other.covariance]),
+            np.concatenate([self.existence, other.existence]),
+            np.concatenate([self.hidden, other.hidden]),
+            np.concatenate([self.separate, other.separate]),
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class MergedMeasurements(Checked):
-    """The merged-measurement model, for boxes in the image.
+    """The merged-measurement model for boxes in the image.
 
     Parameters
     ----------
-    merge_probability : ρ, probability that targets that touch are reported as one blob; 0: blobs
-        are never divided.
-    min_separate_time : seconds for which a target must have had a blob to itself before it may
+    merge_probability : ρ, probability that touching targets are reported as one box; 0: boxes are
+        never divided.
+    min_separate_time : seconds for which a target must have had a box of its own before it may
         share one.
-    max_hidden_time : seconds for which a target may stay hidden in a merged blob, between the edges
+    max_hidden_time : seconds for which a target may stay hidden in a merged box, between the edges
         of others.
     """
 
@@ -86,7 +93,7 @@ class MergedMeasurements(Checked):
     max_hidden_time: NonNegative = 3.0
 
     def start(self) -> ExpectedTargets:
-        """No targets are expected."""
+        """The state before the first frame: no targets."""
         return ExpectedTargets(
             np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros(0), np.zeros(0)
         )
@@ -94,14 +101,12 @@ class MergedMeasurements(Checked):
     def explain(
         self, state: ExpectedTargets, detections: Detections, model: Model, dt: float
     ) -> tuple[ExpectedTargets, Explanation]:
-        """The targets expected in this frame, and the detections that the filter gets for them."""
+        """Predict the targets, and divide merged detections among them for the filter."""
         targets = _predicted(state, model, dt)
         if not (detections.observed and len(targets) and len(detections)):
             return targets, Explanation.unchanged(detections)
         sensor = model.sensor
         x = targets.state
-        seconds = dt / model.rate
-        boxes = sensor.boxes(x)
         z = sensor.measure(detections)
         known = np.isfinite(z).all(axis=0)
         clutter = np.ones(len(detections))
@@ -111,19 +116,17 @@ class MergedMeasurements(Checked):
             np.ascontiguousarray(sensor.measurement_noise(z)),
         )
         rule = Rule(self.merge_probability, self.min_separate_time, self.max_hidden_time)
-        blobs = np.ascontiguousarray(detections.xyxy)
-        lives = targets.lives(model)
         xyxy, source, part, target, hidden, separate = explained(
-            blobs,
+            np.ascontiguousarray(detections.xyxy),
             known,
             clutter,
-            boxes,
+            sensor.boxes(x),
             targets.covariance,
             sensor.observed,
             noise,
-            lives,
+            targets.lives(model),
             rule,
-            seconds,
+            dt / model.rate,
         )
         targets = ExpectedTargets(x, targets.covariance, targets.existence, hidden, separate)
         if len(source) == len(detections):
@@ -140,10 +143,9 @@ class MergedMeasurements(Checked):
         model: Model,
         dt: float,
     ) -> ExpectedTargets:
-        """The targets after the frame: the estimates, and expected targets that these do not show
-        but that may be there.
+        """The targets after the frame: the estimates, and missed targets that may still exist.
 
-        A target that was missed stays with probability r ← r (1 − p_D)/(1 − r p_D).
+        A missed target keeps the probability r ← r (1 − p_D)/(1 − r p_D).
         """
         if not explanation.detections.observed:
             return state
@@ -153,35 +155,32 @@ class MergedMeasurements(Checked):
         weight = np.minimum(estimates.weight, MAX_EXISTENCE)
         if not len(state):
             return ExpectedTargets(x, covariance, weight, np.zeros(k), np.zeros(k))
-        found = (explanation.target, estimates.detection, x)
-        noise = model.sensor.noise(state.state)
-        hidden, separate, there, unseen, left = continued(
-            found,
+        hidden, separate, missed_existence, missed_hidden, remains = continued(
+            (explanation.target, estimates.detection, x),
             state.state,
             state.covariance,
-            noise,
+            model.sensor.noise(state.state),
             state.lives(model),
             self.max_hidden_time,
             dt / model.rate,
         )
         now = ExpectedTargets(x, covariance, weight, hidden, separate)
-        if not left.any():
+        if not remains.any():
             return now
-        return now.joined(
-            ExpectedTargets(state.state, state.covariance, there, unseen, state.separate).select(
-                left
-            )
+        missed = ExpectedTargets(
+            state.state, state.covariance, missed_existence, missed_hidden, state.separate
         )
+        return now.joined(missed.select(remains))
 
 
 def _predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTargets:
-    """The targets ``dt`` time units later."""
+    """Predict the targets ``dt`` time units ahead."""
     if not len(targets):
         return targets
     state, before = model.warp_gaussians(targets.state, targets.covariance)
     mean, jacobian, noise = model.motion.transition(np.ascontiguousarray(state), dt)
     covariance = np.ascontiguousarray(jacobian @ before @ jacobian.transpose(0, 2, 1) + noise)
-    there = targets.existence * model.motion.p_survive(targets.state, dt / model.rate)
+    existence = targets.existence * model.motion.p_survive(targets.state, dt / model.rate)
     return ExpectedTargets(
-        np.ascontiguousarray(mean), covariance, there, targets.hidden, targets.separate
+        np.ascontiguousarray(mean), covariance, existence, targets.hidden, targets.separate
     )

@@ -1,11 +1,11 @@
 """OpenCV's own detectors: the background subtractors MOG2 and KNN, faces by a cascade [M07],
-pedestrians by gradients.
+pedestrians by histograms of gradients.
 
-Shadow pixels of MOG2 and KNN are removed. The pedestrians' support vector machine was trained on
-windows of 64×128 pixels in which the person is 96 high, so the frame is enlarged for smaller
-people. Its hits have a margin, which is cut off; of overlapping ones the strongest stays.
-Confidence is the margin of the support vector machine, which is not bounded. OpenCV 5 dropped
-cascades and pedestrians: `from_opencv` says so.
+Shadow pixels of MOG2 and KNN are removed. The support vector machine for pedestrians was trained on
+windows of 64×128 pixels with people 96 pixels high, so the frame is enlarged to find smaller
+people. The border around the person is cut from its windows, and of overlapping boxes the strongest
+stays. Confidence is the margin of the support vector machine, which is unbounded. OpenCV 5 dropped
+cascades and pedestrians; `from_opencv` reports this.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from phdtrack.detect.components import BlobSettings, check_same_size
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.types import Detections, Frame, Image
 
-MEND = (
+_REPAIR = (
     "python -m pip uninstall -y opencv-python opencv-contrib-python; python -m pip install"
     " --force-reinstall "
 )
-MEND += '"opencv-python-headless>=4.8,<5"'
+_REPAIR += '"opencv-python-headless>=4.8,<5"'
 SearchStep = Annotated[float, Gt(1)]
 _SURELY_FOREGROUND = 200
 _FALLBACK_INTERVAL = 1.0 / 25.0
 _WINDOW = (64, 128)
-# Width and height of a person in a box of the support vector machine.
+# Width and height of a person as shares of a window of the support vector machine.
 _BODY = np.array([0.55, 0.8])
 
 
@@ -43,11 +43,11 @@ class SubtractorDetector:
     ----------
     method : "mog2" (a mixture of Gaussians per pixel) or "knn" (nearest neighbours among a pixel's
         samples).
-    adapt : seconds over which the background is learned and forgotten.
+    adapt : seconds over which the background is learned and forgotten (time constant).
     threshold : squared distance from the background; MOG2 in variances (0: 16), KNN in grey levels²
         (0: 400).
-    warmup : seconds before the first detections are given.
-    blobs : how the mask becomes boxes.
+    warmup : seconds without detections at the beginning.
+    blobs : turns the mask into boxes.
     """
 
     method: str = "mog2"
@@ -89,15 +89,12 @@ class SubtractorDetector:
         self._seen += 1
         passed = frame.time - self._time
         self._time = frame.time
-        if passed > 0:
-            interval = passed
-        else:
-            interval = _FALLBACK_INTERVAL
-        # OpenCV's own rule for early frames (half of what a plain mean would give them), the time
-        # constant later.
+        interval = passed if passed > 0 else _FALLBACK_INTERVAL
+        # Early frames follow OpenCV's own rule, half of the weight in a plain mean, and later ones
+        # the time constant.
         rate = max(0.5 / self._seen, min(1.0, interval / self.adapt))
-        # KNN draws the samples that it replaces from OpenCV's generator, which is global: seeded, a
-        # run can be repeated.
+        # KNN chooses the samples that it replaces with OpenCV's global random generator. Seeding it
+        # makes runs repeatable.
         cv2.setRNGSeed(self._seen)
         mask = self._subtractor.apply(frame.image, learningRate=rate)
         if frame.time - self._began < self.warmup:
@@ -108,19 +105,19 @@ class SubtractorDetector:
 
 
 def from_opencv(name: str) -> Any:
-    """``cv2.<name>``; InputError with the pip line where this OpenCV has none."""
+    """``cv2.<name>``. Raises `InputError` with the pip command if this OpenCV lacks it."""
     found = getattr(cv2, name, None)
     if found is None:
-        problem = (
-            f"OpenCV {cv2.__version__} has no {name}, which this detector needs; OpenCV 4 has it"
+        raise InputError(
+            f"OpenCV {cv2.__version__} has no {name}, which this detector needs; OpenCV 4 has it",
+            cure=f"Another package may have replaced it. Repair it with: {_REPAIR}",
         )
-        raise InputError(problem, cure=f"Another package may have replaced it. Mend it by: {MEND}")
     return found
 
 
 def cascade_file(name: str) -> Path:
-    """The path of a cascade that OpenCV ships, or of the user's own; InputError where there is
-    none.
+    """The path of a cascade that OpenCV ships, or of the user's own. Raises `InputError` if there
+    is none.
     """
     own = Path(name)
     if own.suffix == ".xml" and own.is_file():
@@ -131,10 +128,9 @@ def cascade_file(name: str) -> Path:
         names = sorted(
             file.stem.removeprefix("haarcascade_") for file in folder.glob("haarcascade_*.xml")
         )
+        known = f"This OpenCV ships none. Repair it with: {_REPAIR}"
         if names:
-            known = f"Shipped are {', '.join(names)}."
-        else:
-            known = f"This OpenCV ships none. Mend it by: {MEND}"
+            known = f"OpenCV ships {', '.join(names)}."
         cure = f"{known} An .xml file of your own works too."
         raise InputError(f"there is no cascade {name!r}", where="cascade", cure=cure)
     return path
@@ -142,15 +138,15 @@ def cascade_file(name: str) -> Path:
 
 @dataclass(eq=False)
 class FaceDetector:
-    """Boxes around what a Viola-Jones cascade accepts, face by face; it remembers nothing.
+    """Faces, or other objects, found by a Viola-Jones cascade. It learns nothing from frames.
 
     Attributes
     ----------
     cascade : name of a cascade that OpenCV ships ("frontalface_alt2", "profileface", "fullbody", …)
         or an .xml file.
-    scale : the frame is enlarged by this factor before the search, so that small faces are found.
+    scale : factor by which the frame is enlarged first, to find small faces.
     step : ratio of successive sizes in the search, above 1; smaller is slower and finds more.
-    neighbours : how many overlapping hits make a face.
+    neighbours : overlapping hits that make a face.
     min_size : smallest face, fraction of the frame's height.
     """
 
@@ -168,13 +164,12 @@ class FaceDetector:
             raise InputError("this is not a cascade that OpenCV can read", where=path)
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: there is nothing to forget."""
 
     def __call__(self, frame: Frame) -> Detections:
         """[M07] The faces in ``frame``."""
-        grey = _enlarged(
-            cv2.equalizeHist(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)), self.scale
-        )
+        grey = cv2.equalizeHist(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY))
+        grey = _enlarged(np.asarray(grey, np.uint8), self.scale)
         least = max(1, round(self.min_size * grey.shape[0]))
         found = self._classifier.detectMultiScale(
             grey, scaleFactor=self.step, minNeighbors=self.neighbours, minSize=(least, least)
@@ -186,17 +181,17 @@ class FaceDetector:
 
 @dataclass(eq=False)
 class PersonDetector:
-    """Boxes around pedestrians; it remembers nothing. It takes a third of a second at 768x576: for
-    stills and short clips.
+    """Pedestrians. It learns nothing from frames. A frame of 768x576 takes a third of a second:
+    for stills and short clips.
 
     Attributes
     ----------
-    scale : the frame is enlarged by this factor; people below 96 pixels in the enlarged frame are
-        not found.
+    scale : factor by which the frame is enlarged first; people below 96 pixels in the enlarged
+        frame are not found.
     step : ratio of successive sizes in the search, above 1.
     stride : pixels between windows in the enlarged frame, a multiple of 8.
     threshold : least margin of the support vector machine.
-    overlap : of two boxes with a larger intersection over union only the stronger is kept.
+    overlap : of two boxes with a larger intersection over union only the stronger one is kept.
     """
 
     scale: Positive = 1.5
@@ -215,7 +210,7 @@ class PersonDetector:
         self._hog.setSVMDetector(from_opencv("HOGDescriptor_getDefaultPeopleDetector")())
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: there is nothing to forget."""
 
     def __call__(self, frame: Frame) -> Detections:
         """The pedestrians in ``frame``, the strongest first."""
@@ -233,7 +228,7 @@ class PersonDetector:
         score = np.array(margins, np.float64).reshape(-1)
         middle = corner + size / 2
         reach = size * _BODY / 2
-        # OpenCV leaves out scores that are not above the least one, 0, which margins may well be.
+        # OpenCV drops scores of 0 and below, which margins may well be.
         above = score - score.min(initial=0.0) + 1.0
         kept = cv2.dnn.NMSBoxes(
             np.hstack([middle - reach, 2 * reach]).tolist(), above.tolist(), 0.0, self.overlap
@@ -244,7 +239,7 @@ class PersonDetector:
 
 
 def _enlarged(image: Image, scale: float) -> Image:
-    """The picture, enlarged."""
+    """The picture, enlarged by a factor."""
     return np.asarray(
         cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR), np.uint8
     )

@@ -81,7 +81,7 @@ def _input_frame(detector: Detector, frame: Frame) -> Frame:
 
 
 def _thinned(frames: Iterable[Frame], planar: Callable[[Frame], Frame]) -> list[Frame]:
-    """Evenly spaced ``planar`` frames of a file, or of its beginning; between 51 and 102 of many."""
+    """Evenly spaced ``planar`` frames of a file or its beginning; between 51 and 102 of many."""
     kept = list[Frame]()
     step = 1
     pixels = 0

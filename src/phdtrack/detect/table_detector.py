@@ -58,8 +58,8 @@ def frames_walked(table: DetectionTable, last: int, fps: float) -> Iterator[int]
 
 
 def frames_up_to(number: int, before: int, fps: float) -> Iterator[int]:
-    """The frames after ``before`` up to ``number`` that `frames_walked` yields if the frames between
-    have no detections.
+    """The frames after ``before`` up to ``number`` that `frames_walked` yields if those between are
+    empty.
 
     Parameters
     ----------
