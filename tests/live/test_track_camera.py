@@ -171,7 +171,7 @@ def test_pictures_that_nobody_had_time_for_are_counted(monkeypatch: pytest.Monke
 def test_a_mute_camera_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = CameraServer()
     camera.mute = True
-    monkeypatch.setattr("phdtrack.video.reading.CONNECT", 0.5)
+    monkeypatch.setattr("phdtrack.video.decoding.CONNECT", 0.5)
     with pytest.raises(InputError, match=r"no answer in 0\.5 s") as raised:
         inputs.open_inputs(SourceOptions(camera.url.replace("://", "://bob:secret99@")), {})
     assert "secret99" not in str(raised.value)

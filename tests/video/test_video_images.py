@@ -9,7 +9,7 @@ from video_clips import picture
 
 from phdtrack.errors import InputError
 from phdtrack.video import open_source
-from phdtrack.video.reading import frame_numbers
+from phdtrack.video.image_folder import frame_numbers
 
 
 def save(folder: Path, names: list[str]) -> None:
@@ -51,7 +51,7 @@ def test_a_pattern_selects_and_an_assumed_rate_is_stated(tmp_path: Path) -> None
     save(tmp_path / "SEQ-1" / "img1", ["a1.png", "a2.png", "b1.png"])
     source = open_source(tmp_path / "SEQ-1" / "img1")
     assert (source.info.name, source.info.fps) == ("SEQ-1", 25)
-    assert "25 frames a second assumed" in source.note
+    assert "25 frames/s assumed" in source.note
     assert [frame.number for frame in open_source(str(tmp_path / "SEQ-1" / "img1" / "a*.png"))] == [
         1,
         2,
@@ -77,7 +77,7 @@ def test_numbers_come_from_the_names(stems: list[str], numbers: list[int]) -> No
 def test_bad_images_are_named(tmp_path: Path) -> None:
     save(tmp_path / "s", ["1.png", "2.png", "3.png"])
     (tmp_path / "s" / "2.png").write_text("no picture")
-    with pytest.raises(InputError, match=r"2\.png: this is not an image"):
+    with pytest.raises(InputError, match=r"2\.png: this is not a readable image"):
         list(open_source(tmp_path / "s"))
     cv2.imwrite(str(tmp_path / "s" / "2.png"), picture(0, 80, 48))
     with pytest.raises(

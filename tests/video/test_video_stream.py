@@ -15,7 +15,7 @@ from phdtrack.devices import Planar, planes_of
 from phdtrack.errors import InputError
 from phdtrack.types import Image
 from phdtrack.video import VideoWriter, open_source
-from phdtrack.video.reading import Decoded
+from phdtrack.video.decoding import Decoded
 
 
 def test_a_written_clip_reads_back(clip: Path) -> None:

@@ -40,7 +40,7 @@ from phdtrack.run.detection_log import source_of
 from phdtrack.run.inputs import TABLES, comes_again, open_inputs
 from phdtrack.run.segments import Segment, cut, join
 from phdtrack.video import open_source
-from phdtrack.video.reading import SUFFIXES
+from phdtrack.video.image_folder import SUFFIXES
 
 # In a folder of a run what decided it, and in that of the batch what came of it.
 DOCUMENT = "batch.json"

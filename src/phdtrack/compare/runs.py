@@ -52,7 +52,7 @@ from phdtrack.report.record import known_mean
 from phdtrack.simulate import add_clutter
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
-from phdtrack.video.reading import SUFFIXES
+from phdtrack.video.image_folder import SUFFIXES
 
 Advance = Callable[[int], object]
 RUN = "run.json"

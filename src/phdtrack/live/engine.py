@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.arrays import pixelated
-from phdtrack.detect.convert import LeftOut
 from phdtrack.detect.base import Detector
+from phdtrack.detect.convert import LeftOut
 from phdtrack.errors import InputError, shown
 from phdtrack.groups.group_stages import GroupStages, OnlineGroups
 from phdtrack.live.checkpoint import LOST, HeldFrame, SavedCamera, SavedWatch, key_of, load, save

@@ -38,8 +38,8 @@ from phdtrack.formats.checks import WrongRows
 from phdtrack.formats.stream import stream_detections
 from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import VideoSource, open_source
+from phdtrack.video.decoding import endless
 from phdtrack.video.live_sources import LiveSource, check_address, named
-from phdtrack.video.reading import endless
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
 TABLES = (".txt", ".csv", ".tsv", ".json", ".jsonl", ".xml", ".parquet")

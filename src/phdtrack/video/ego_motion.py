@@ -1,14 +1,12 @@
-"""The motion of the camera: none, given in a file, or measured between two pictures by following
-points of the background.
+"""The motion of the camera: none, read from a file, or measured by sparse optical flow.
 
-Corners (Shi and Tomasi) of the earlier picture, outside the boxes of what was detected there, are
-followed by pyramids of Lucas and Kanade's method into the later one and back; those that do not
-come back to where they began are dropped. RANSAC finds the similarity, or homography, that most of
-the others agree on. Its random numbers are OpenCV's own, begun anew in every call: the same
-pictures give the same map.
+Corners (Shi and Tomasi) of the previous picture, outside the detected boxes, are tracked into the
+current one and back with the pyramidal method of Lucas and Kanade; those that do not return to
+where they started are dropped. RANSAC finds the similarity, or homography, that fits most of the
+others. OpenCV restarts its random numbers in every call, so the same pictures give the same map.
 
-Pictures are scaled down first. What moves in them and was not detected is outvoted as long as it is
-less than the rest.
+Pictures are scaled down first. Moving objects that were not detected do no harm as long as most
+corners belong to the background.
 """
 
 from __future__ import annotations
@@ -21,23 +19,28 @@ import numpy as np
 from phdtrack.errors import Checked, InputError, PositiveCount
 from phdtrack.types import F8, Image
 
-# Corners weaker than this share of the best are none; they keep this share of the width apart.
-_QUALITY = 0.01
-_APART = 0.012
-# Around a box as much of its size is left out besides: shadows, and limbs that the box has not.
+# Least strength of a corner, as a share of the best; distance of corners as a share of the width.
+_MIN_QUALITY = 0.01
+_DISTANCE = 0.012
+# Boxes are enlarged by this share of their size, to exclude shadows and limbs outside.
 _MARGIN = 0.1
-# No camera zooms by more from one frame to the next, or moves the picture by more than this share
-# of its width.
-_ZOOM = 1.5
-_JUMP = 0.6
-
-
-# Corners that are followed at most.
+# Size of the search window, and levels of the pyramids.
+_WINDOW = (21, 21)
+_LEVELS = 4
+# Bounds of a plausible motion between frames: the zoom, and the shift as a share of the width.
+_MAX_ZOOM = 1.5
+_MAX_SHIFT = 0.6
+# Least denominator of a homography at the corners of the picture.
+_MIN_DEPTH = 0.2
+_MAX_ITERATIONS = 2000
+_CONFIDENCE = 0.999
+# Corners that are tracked at most.
 MAX_POINTS = 300
-# Pixels of the scaled picture by which a point may miss the map, and its way back its beginning.
+# Pixels of the scaled picture by which a point may miss the map, and by which its way back may miss
+# its start.
 MAX_ERROR = 1.0
-# Points that must fit the map, and the share of those followed; otherwise the camera is taken to
-# stand still in that frame.
+# Points, and share of the tracked points, that must fit the map; otherwise the camera is assumed
+# still in that frame.
 MIN_POINTS = 20
 MIN_INLIER_SHARE = 0.4
 
@@ -49,11 +52,11 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class GivenWarps:
-    """Motion from a file.
+    """Camera motion from a file.
 
     Parameters
     ----------
-    file : a row for each frame, ``frame,g11,g12,g13,g21,g22,g23[,g31,g32,g33]``: see
+    file : one row per frame, ``frame,g11,g12,g13,g21,g22,g23[,g31,g32,g33]``: see
         `formats.read_warps`.
     """
 
@@ -62,15 +65,15 @@ class GivenWarps:
 
 @dataclass(frozen=True, slots=True)
 class SparseFlow(Checked):
-    """Motion measured by points that are followed from one picture to the next.
+    """Camera motion measured by tracking points from one picture to the next.
 
-    Most of what is seen must belong to the background.
+    Most of the picture must show the background.
 
     Parameters
     ----------
-    width : pictures are scaled down to this many pixels before they are looked at.
-    form : ``similarity`` (shift, turn, zoom), which few points determine well; ``homography`` for a
-        camera that pans with a wide lens, or a scene that is one plane.
+    width : pixels to which pictures are scaled down.
+    form : ``similarity`` (shift, rotation, zoom), which few points determine well; ``homography``
+        for a camera that pans with a wide lens, or a planar scene.
     """
 
     width: PositiveCount = 640
@@ -78,49 +81,49 @@ class SparseFlow(Checked):
 
 
 class CameraMotion:
-    """How the camera moved since the picture before; it remembers that one.
+    """Measures how the camera moved since the previous picture.
 
     motion = CameraMotion()
-    warp = motion(image, boxes)                 # the identity for the first
+    warp = motion(image, boxes)                 # the identity for the first picture
     rows = tracker.update(boxes, warp=warp)
 
-    Call it once for every `Tracker.update`, with the picture that the boxes are from. ``measured``
-    is False where the motion could not be found in the last picture and is taken for none.
+    Call it once for every `Tracker.update`, with the picture in which the boxes were detected.
+    ``measured`` is False if the motion in the last picture could not be measured, and is assumed to
+    be none.
     """
 
     def __init__(self, settings: SparseFlow | None = None) -> None:
-        if settings is None:
-            self.settings = SparseFlow()
-        else:
-            self.settings = settings
+        self.settings = SparseFlow() if settings is None else settings
         self.reset()
 
     def reset(self) -> None:
-        """The next picture is the first of a new sequence."""
-        self._before: _View | None = None
+        """Start a new sequence with the next picture."""
+        self._previous: _View | None = None
         self.measured = True
 
     def __call__(self, image: Image, xyxy: F8) -> F8:
-        """(3, 3) map from the pixels of the picture before to this one's (H, W, 3), in which
-        ``xyxy`` (n, 4) were detected.
+        """(3, 3) map from pixels of the previous picture to pixels of this one.
 
-        Raises `InputError` where ``image`` is no picture.
+        Parameters
+        ----------
+        image : (H, W, 3) BGR, or (H, W) grey. Raises `InputError` for another shape.
+        xyxy : (n, 4) boxes detected in it.
         """
-        now = _view(image, xyxy, self.settings.width)
-        warp: F8 | None
-        if self._before is None:
-            warp = np.eye(3)
-        else:
-            warp = _between(self._before, now, self.settings)
-        self._before = now
-        self.measured = warp is not None
-        return np.eye(3) if warp is None else warp
+        current = _view(image, xyxy, self.settings.width)
+        previous = self._previous
+        self._previous = current
+        self.measured = True
+        if previous is None:
+            return np.eye(3)
+        warp = _between(previous, current, self.settings)
+        if warp is None:
+            self.measured = False
+            return np.eye(3)
+        return warp
 
 
 class _View(NamedTuple):
-    """One picture as the flow sees it: ``gray`` (h, w) uint8, scaled by ``scale``, with ``boxes``
-    (n, 4) in its pixels.
-    """
+    """A grey picture (h, w) uint8, scaled by ``scale``, and ``boxes`` (n, 4) in its pixels."""
 
     gray: Image
     scale: float
@@ -128,7 +131,7 @@ class _View(NamedTuple):
 
 
 def _view(image: Image, xyxy: F8, width: int) -> _View:
-    """The picture (H, W, 3) BGR, or (H, W) gray, scaled down to ``width``."""
+    """The picture (H, W, 3) BGR, or (H, W) grey, scaled down to ``width``."""
     import cv2
 
     if image.ndim not in (2, 3) or not image.size:
@@ -136,54 +139,56 @@ def _view(image: Image, xyxy: F8, width: int) -> _View:
             f"expected a picture (H, W, 3), got an array of shape {image.shape}",
             where="camera motion",
         )
-    if image.ndim == 2:
-        gray = image
-    else:
-        gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    gray = image
+    if image.ndim == 3:
+        gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
     scale = min(1.0, width / gray.shape[1])
     if scale < 1:
-        gray = cv2.resize(
-            gray, (width, max(1, round(scale * gray.shape[0]))), interpolation=cv2.INTER_AREA
-        )
+        size = (width, max(1, round(scale * gray.shape[0])))
+        gray = np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA), np.uint8)
     return _View(gray, scale, scale * np.asarray(xyxy, np.float64).reshape(-1, 4))
 
 
 def _between(before: _View, after: _View, settings: SparseFlow) -> F8 | None:
-    """(3, 3) how the camera moved between two views, in pixels of the video; None where it cannot
-    be measured.
-    """
+    """(3, 3) map between two views, in pixels of the video; None if it cannot be measured."""
     import cv2
 
-    found, arrived = _followed(before, after, settings)
-    if len(found) < MIN_POINTS:
+    start, end = _tracked(before, after)
+    if len(start) < MIN_POINTS:
         return None
     if settings.form == "homography":
-        matrix, inside = cv2.findHomography(
-            found, arrived, cv2.RANSAC, MAX_ERROR, maxIters=2000, confidence=0.999
+        matrix, inliers = cv2.findHomography(
+            start,
+            end,
+            cv2.RANSAC,
+            MAX_ERROR,
+            maxIters=_MAX_ITERATIONS,
+            confidence=_CONFIDENCE,
         )
     else:
-        matrix, inside = cv2.estimateAffinePartial2D(
-            found,
-            arrived,
+        matrix, inliers = cv2.estimateAffinePartial2D(
+            start,
+            end,
             method=cv2.RANSAC,
             ransacReprojThreshold=MAX_ERROR,
-            maxIters=2000,
-            confidence=0.999,
+            maxIters=_MAX_ITERATIONS,
+            confidence=_CONFIDENCE,
         )
     if matrix is None or not np.isfinite(matrix).all():
         return None
-    if np.count_nonzero(inside) < max(MIN_POINTS, MIN_INLIER_SHARE * len(found)):
+    enough = max(MIN_POINTS, MIN_INLIER_SHARE * len(start))
+    if np.count_nonzero(inliers) < enough:
         return None
     small = np.vstack([matrix, [0.0, 0.0, 1.0]])[:3]
-    # Boxes count from a pixel's edge and not, as OpenCV does, from its middle.
+    # Boxes count from a pixel's edge, OpenCV from its centre.
     to_small = np.array([[before.scale, 0.0, -0.5], [0.0, before.scale, -0.5], [0.0, 0.0, 1.0]])
     warp = np.linalg.inv(to_small) @ small @ to_small
     warp /= warp[2, 2]
-    return warp if _credible(warp, before) else None
+    return warp if _plausible(warp, before) else None
 
 
-def _followed(before: _View, after: _View, settings: SparseFlow) -> tuple[F8, F8]:
-    """(n, 2) points of the earlier view, and where they are in the later one."""
+def _tracked(before: _View, after: _View) -> tuple[F8, F8]:
+    """(n, 2) points of the earlier view, and their places in the later one."""
     import cv2
 
     none = np.zeros((0, 2))
@@ -196,32 +201,34 @@ def _followed(before: _View, after: _View, settings: SparseFlow) -> tuple[F8, F8
             [left - margin, top - margin, right + margin, bottom + margin], 0
         ).astype(int)
         background[y0:y1, x0:x1] = 0
-    apart = max(3.0, _APART * before.gray.shape[1])
-    corners = cv2.goodFeaturesToTrack(before.gray, MAX_POINTS, _QUALITY, apart, mask=background)
+    distance = max(3.0, _DISTANCE * before.gray.shape[1])
+    corners = cv2.goodFeaturesToTrack(
+        before.gray, MAX_POINTS, _MIN_QUALITY, distance, mask=background
+    )
     if corners is None:
         return none, none
-    there, arrived, _ = cv2.calcOpticalFlowPyrLK(
-        before.gray, after.gray, corners, None, winSize=(21, 21), maxLevel=4
+    end, found, _ = cv2.calcOpticalFlowPyrLK(
+        before.gray, after.gray, corners, None, winSize=_WINDOW, maxLevel=_LEVELS
     )
     back, returned, _ = cv2.calcOpticalFlowPyrLK(
-        after.gray, before.gray, there, None, winSize=(21, 21), maxLevel=4
+        after.gray, before.gray, end, None, winSize=_WINDOW, maxLevel=_LEVELS
     )
-    good = (arrived.ravel() == 1) & (returned.ravel() == 1)
+    good = (found.ravel() == 1) & (returned.ravel() == 1)
     good &= np.linalg.norm((back - corners).reshape(-1, 2), axis=1) <= MAX_ERROR
-    return corners.reshape(-1, 2)[good].astype(np.float64), there.reshape(-1, 2)[good].astype(
-        np.float64
-    )
+    start = corners.reshape(-1, 2)[good]
+    return start.astype(np.float64), end.reshape(-1, 2)[good].astype(np.float64)
 
 
-def _credible(warp: F8, before: _View) -> bool:
-    """Whether a camera may have moved so: the corners of the picture stay in order and near where
-    they were.
-    """
-    high, wide = (side / before.scale for side in before.gray.shape)
-    moved = warp @ np.array([[0, wide, wide, 0], [0, 0, high, high], [1, 1, 1, 1]])
-    if (moved[2] <= 0.2).any():
+def _plausible(warp: F8, before: _View) -> bool:
+    """Return True if the corners of the picture stay in order and near where they were."""
+    height, width = (side / before.scale for side in before.gray.shape)
+    moved = warp @ np.array([[0, width, width, 0], [0, 0, height, height], [1, 1, 1, 1]])
+    if (moved[2] <= _MIN_DEPTH).any():
         return False
-    place = moved[:2] / moved[2]
-    sides = np.linalg.norm(place - np.roll(place, 1, axis=1), axis=0) / [high, wide, high, wide]
-    jump = np.linalg.norm(place.mean(axis=1) - [wide / 2, high / 2])
-    return bool((sides < _ZOOM).all() and (sides > 1 / _ZOOM).all() and jump < _JUMP * wide)
+    corners = moved[:2] / moved[2]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=0)
+    zoom = sides / [height, width, height, width]
+    if (zoom >= _MAX_ZOOM).any() or (zoom <= 1 / _MAX_ZOOM).any():
+        return False
+    shift = np.linalg.norm(corners.mean(axis=1) - [width / 2, height / 2])
+    return bool(shift < _MAX_SHIFT * width)

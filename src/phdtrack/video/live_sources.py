@@ -28,7 +28,7 @@ import numpy as np
 
 from phdtrack.errors import InputError, needed, shown
 from phdtrack.types import Image
-from phdtrack.video.reading import bgr
+from phdtrack.video.decoding import bgr
 
 State = Literal["connecting", "live", "silent", "down"]
 # Seconds between two tries: the first, and the longest.

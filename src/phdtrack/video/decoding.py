@@ -1,0 +1,360 @@
+"""Video files and streams, decoded by FFmpeg.
+
+A video is opened once for its first frame, which determines size, orientation and rate (headers are
+often wrong), and once for each iteration. Packets that cannot be decoded are skipped; a truncated
+file yields the frames that it has. A decoded picture is converted to BGR or planes when needed, at
+the size that is needed.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from itertools import dropwhile, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phdtrack.errors import InputError, needed
+from phdtrack.types import Frame, Image, SequenceInfo
+from phdtrack.video.image_folder import known_rate
+from phdtrack.video.video_source import Read, VideoSource
+
+# Seconds to wait for an address to be opened, and for more data from it.
+CONNECT = 10.0
+READ = 10.0
+# FFmpeg's number for pictures whose black is 0.
+_FULL_RANGE = 2
+# Pixels of 1080p as they are encoded.
+_LARGE = 1920 * 1088
+# Pictures by which the order of packets may differ from the order of presentation, at most.
+_MAX_REORDERED = 32
+_CONVERT = "convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)"
+
+
+def file_source(path: str, fps: float, first: int) -> VideoSource:
+    """The frames of a video file or address that FFmpeg can open, in order of presentation, from
+    frame ``first`` on.
+
+    ``fps`` above 0 replaces the stream's time stamps. Raises `InputError` if no frame can be
+    decoded.
+    """
+    losses: list[tuple[int, str]] = []
+    with _open(path) as (container, stream):
+        stated = stream.average_rate or stream.guessed_rate or stream.base_rate
+        length = container.duration or 0
+        picture = next(_pictures(container, stream, losses), None)
+        announced = stream.frames
+        time_base = stream.time_base
+    if picture is None:
+        reason = f" ({losses[0][1]})" if losses else ""
+        raise InputError(
+            f"no frame could be decoded{reason}",
+            where=path,
+            cure=f"The file is empty or damaged: copy it again, or {_CONVERT}.",
+        )
+    stamps = _stamps_to(path, first, losses) if first > 1 else []
+    rate, note = known_rate(float(fps or stated or 0), f"{path} does")
+    info = SequenceInfo(*Decoded(picture).size, rate, name=Path(path).stem)
+    zero = math.nan
+    if fps:
+        zero = 0.0
+    elif stamps:
+        zero = float(stamps[0] * time_base)
+    video = _VideoFile(path, fps, stamps)
+    return VideoSource(
+        info,
+        video.read,
+        note,
+        announced=announced or round(length / 1e6 * rate),
+        sample=video.sample,
+        first=first,
+        zero=zero,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _VideoFile:
+    """A file that can be decoded. ``stamps`` are those of the first frames, if it can seek."""
+
+    path: str
+    fps: float
+    stamps: list[int]
+
+    def read(self, source: VideoSource) -> Iterator[Read]:
+        """Yield the frames, and report what was lost in ``source.problem``."""
+        losses: list[tuple[int, str]] = []
+        stamps = self.stamps if source.first > 1 else []
+        before = max(0, len(stamps) - 1)
+        number = before
+        with _open(self.path) as (container, stream):
+            pictures = _pictures_from(container, stream, stamps, losses, source)
+            for number, picture in enumerate(pictures, start=before + 1):
+                stamp = (number - 1) / self.fps if self.fps else picture.time
+                yield number, stamp, Decoded(picture), f"{self.path}, frame {number}"
+        if losses:
+            after, reason = losses[0]
+            source.problem = (
+                f"{self.path}: damaged after frame {after} ({reason}); {number} frames could be"
+                " decoded"
+            )
+        elif number < stream.frames:
+            source.problem = (
+                f"{self.path}: ends after frame {number}, but its header announces"
+                f" {stream.frames}; it may be truncated"
+            )
+
+    def sample(self, count: int) -> Iterator[Frame]:
+        """Yield ``count`` frames spread over the file; fewer if it cannot seek to so many."""
+        with _open(self.path) as (container, stream):
+            last = -1.0
+            for k in range(count if container.duration else 0):
+                # This seeks to the key frame before.
+                offset = round((k + 0.5) / count * container.duration)
+                container.seek(offset + (container.start_time or 0))
+                picture = next(_pictures(container, stream, []), None)
+                if picture is None or picture.time is None or picture.time <= last:
+                    return
+                last = picture.time
+                yield Frame(k + 1, last, Decoded(picture))
+
+
+def endless(path: str) -> bool:
+    """Return True if an address has no end, as a camera's: neither length nor duration is known.
+
+    Raises `InputError` if it cannot be opened.
+    """
+    with _open(path) as (container, stream):
+        return not stream.frames and container.duration is None
+
+
+def _stamps_to(path: str, number: int, losses: list[tuple[int, str]]) -> list[int]:
+    """The time stamps of the frames up to ``number``; empty if the file cannot seek there, and must
+    be decoded from its beginning.
+    """
+    with _open(path) as (container, stream):
+        stamps = _stamps(container, stream, number)
+    if not stamps:
+        return []
+    with _open(path) as (container, stream):
+        picture = next(_pictures_from(container, stream, stamps, losses), None)
+        if picture is None or picture.pts != stamps[-1]:
+            return []
+    return stamps
+
+
+def _stamps(container: Any, stream: Any, count: int) -> list[int]:
+    """The time stamps of the first ``count`` pictures in order of presentation, without decoding.
+
+    Empty if some packets have none, or if stamps jump back, as in joined recordings: then they do
+    not identify frames.
+    """
+    packets = (
+        packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard
+    )
+    found = list(islice(packets, count + _MAX_REORDERED))
+    if None in found:
+        return []
+    order = sorted(range(len(found)), key=found.__getitem__)
+    if any(abs(place - number) > _MAX_REORDERED for place, number in enumerate(order)):
+        return []
+    return [found[number] for number in order[:count]]
+
+
+def _pictures_from(
+    container: Any,
+    stream: Any,
+    stamps: list[int],
+    losses: list[tuple[int, str]],
+    source: VideoSource | None = None,
+) -> Iterator[Any]:
+    """The pictures of `_pictures`, from the last of the stamps on; all if there are none."""
+    if not stamps:
+        return _pictures(container, stream, losses, source)
+    # Start some pictures earlier, so that those before the next key frame are complete.
+    container.seek(stamps[max(0, len(stamps) - 1 - _MAX_REORDERED)], stream=stream)
+    return dropwhile(
+        lambda picture: picture.pts is not None and picture.pts < stamps[-1],
+        _pictures(container, stream, losses, source),
+    )
+
+
+def _pictures(
+    container: Any, stream: Any, losses: list[tuple[int, str]], source: VideoSource | None = None
+) -> Iterator[Any]:
+    """Yield the decoded pictures. Failures are skipped and added to ``losses``, each with the
+    number of the frame before it.
+
+    ``source.share`` is set to the share of the file that has been read.
+    """
+    av = needed("av")
+    number = 0
+    size = container.size
+    try:
+        for packet in container.demux(stream):
+            if source is not None and size > 0 and packet.pos is not None:
+                source.share = min(1.0, packet.pos / size)
+            try:
+                pictures = packet.decode()
+            except av.FFmpegError as error:
+                losses.append((number, _reason(error)))
+                continue
+            for picture in pictures:
+                if picture.is_corrupt:
+                    losses.append((number, "parts of a picture are missing"))
+                number += 1
+                yield picture
+    except av.FFmpegError as error:
+        losses.append((number, _reason(error)))
+    except IndexError:
+        # PyAV only knows the streams that existed at the beginning.
+        losses.append((number, "it continues with other streams"))
+
+
+def _reason(error: Exception) -> str:
+    """FFmpeg's description of an error, without its call and number."""
+    return str(getattr(error, "strerror", "") or error)
+
+
+@contextmanager
+def _open(path: str) -> Iterator[tuple[Any, Any]]:
+    """The container and its first video stream. Raises `InputError` if there is none."""
+    av = needed("av")
+    remote = "://" in path
+    try:
+        container: Any = av.open(
+            path, timeout=(CONNECT, READ) if remote else None, metadata_errors="replace"
+        )
+    except (av.FFmpegError, OSError, ValueError) as error:
+        reason = _reason(error)
+        if isinstance(error, av.ExitError):
+            reason = f"no answer in {CONNECT:g} s"
+        cure = (
+            "Check that it is a complete video file: an mp4 cut off during recording or copying has"
+            " no index. `ffmpeg -i IN -c:v libx264 OUT.mp4` converts most other formats."
+        )
+        if remote:
+            cure = "Check the address, and that the device is on and reachable from here."
+        raise InputError(
+            f"this cannot be read as a video ({reason})", where=path, cure=cure
+        ) from None
+    with container:
+        stream = next(iter(container.streams.video), None)
+        if stream is None:
+            raise InputError(
+                "there is no video in this file",
+                where=path,
+                cure=f"Give another one, or {_CONVERT}.",
+            )
+        if stream.codec_context is None:
+            raise InputError(
+                "FFmpeg has no decoder for the video in this file",
+                where=path,
+                cure=f"Give another one, or {_CONVERT}.",
+            )
+        # A second thread takes the memory of a dozen pictures, and helps only above 1080p.
+        large = stream.width * stream.height > _LARGE
+        stream.thread_type = "AUTO"
+        stream.codec_context.thread_count = 2 if large else 1
+        yield container, stream
+
+
+class _Converter(threading.local):
+    """FFmpeg's converter of pictures, one per thread: setting it up takes longer than converting a
+    picture.
+    """
+
+    def __init__(self) -> None:
+        self.reformat = needed("av.video.reformatter").VideoReformatter().reformat
+
+
+@cache
+def _converter() -> _Converter:
+    return _Converter()
+
+
+def bgr(picture: Any, width: int, height: int) -> Image:
+    """(H, W, 3) BGR uint8 from a picture that FFmpeg has decoded.
+
+    Parameters
+    ----------
+    picture : an `av.VideoFrame`.
+    width, height : of the image in pixels.
+    """
+    converted = _converter().reformat(picture, width, height, "bgr24", interpolation="AREA")
+    return np.asarray(converted.to_ndarray(), np.uint8)
+
+
+class Decoded:
+    """A picture that FFmpeg has decoded, rotated as the recording's orientation requires."""
+
+    __slots__ = ("_image", "_picture", "_prepared", "_turns", "size")
+
+    def __init__(self, picture: Any) -> None:
+        self._picture = picture
+        self._turns = round(picture.rotation / 90) % 4
+        self.size: tuple[int, int] = (picture.width, picture.height)
+        if self._turns % 2:
+            self.size = (picture.height, picture.width)
+        self._image: Image | None = None
+        self._prepared: tuple[tuple[int, int], Image] | None = None
+
+    def prepare(self, size: tuple[int, int]) -> None:
+        """Convert to planes of this width and height now, for the next call of `planes`."""
+        self._prepared = size, self.planes(size)
+
+    def bgr(self, size: tuple[int, int] | None = None) -> Image:
+        """(H, W, 3) BGR uint8 of this width and height, or of its own size, which is converted only
+        once.
+        """
+        if size is None and self._image is not None:
+            return self._image
+        unrotated = bgr(self._picture, *self._unrotated(size or self.size))
+        image = np.ascontiguousarray(np.rot90(unrotated, self._turns))
+        if size is None:
+            self._image = image
+        return image
+
+    def planes(self, size: tuple[int, int] | None = None) -> Image:
+        """The planes of `Picture.planes`."""
+        prepared = self._prepared
+        self._prepared = None
+        if prepared is not None and prepared[0] == (size or self.size):
+            return prepared[1]
+        picture = self._picture
+        width, height = self._unrotated(size or self.size)
+        full_range = picture.color_range == _FULL_RANGE
+        same_size = (width, height) == (picture.width, picture.height)
+        if full_range or not same_size or picture.format.name != "yuv420p":
+            # Versions of PyAV before 18 do not take the range from the picture.
+            picture = _converter().reformat(
+                picture,
+                width,
+                height,
+                "yuv420p",
+                interpolation="AREA",
+                src_color_range="JPEG" if full_range else None,
+                dst_color_range="MPEG",
+            )
+        half = ((width + 1) // 2, (height + 1) // 2)
+        out: Image = np.empty(width * height + 2 * half[0] * half[1], np.uint8)
+        start = 0
+        sizes = ((width, height), half, half)
+        for plane, (columns, rows) in zip(picture.planes, sizes, strict=True):
+            lines = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
+            part = np.rot90(lines[:rows, :columns], self._turns)
+            out[start : start + part.size].reshape(part.shape)[:] = part
+            start += part.size
+        return out
+
+    def _unrotated(self, size: tuple[int, int]) -> tuple[int, int]:
+        """Width and height before rotation of a picture that has this size after it."""
+        width, height = size
+        if self._turns % 2:
+            return height, width
+        return width, height

@@ -1,0 +1,69 @@
+"""From a path, pattern or address ("street.mp4", "frames/", "img/*.png", "http://…") to frames."""
+
+from __future__ import annotations
+
+import difflib
+import glob
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from phdtrack.errors import InputError
+from phdtrack.files import refuse_part
+from phdtrack.video.decoding import file_source
+from phdtrack.video.image_folder import SUFFIXES, image_source
+from phdtrack.video.video_source import VideoSource
+
+
+def open_source(
+    spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int = 0
+) -> VideoSource:
+    """The frames that ``spec`` names.
+
+    Parameters
+    ----------
+    spec : a video file; a folder of images; a glob pattern of images; an address with ``://``.
+    fps : frames per second. Above 0 it replaces the time stamps of a video and is the rate of a
+        folder of images; 0 takes the stream's own times, and 25 for images.
+    first, last : only these frames, from 1; 0: up to the end. A video file with time stamps seeks
+        to the first.
+
+    Raises
+    ------
+    InputError : there are no frames that can be decoded, or the rate is invalid.
+    """
+    if not math.isfinite(fps) or fps < 0:
+        raise InputError(
+            f"the rate must be a number of frames per second above 0, got {fps}", where="fps"
+        )
+    text = str(spec)
+    path = Path(text)
+    refuse_part(path)
+    if path.is_dir():
+        files = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES]
+        source = image_source(files, fps, path)
+    elif "://" in text or path.exists():
+        source = file_source(text, fps, first)
+    elif set(text) & set("*?["):
+        files = [Path(name) for name in glob.glob(text, recursive=True) if Path(name).is_file()]
+        if not files:
+            raise InputError(
+                "no file matches this pattern", where=text, cure="Check the folder and the pattern."
+            )
+        source = image_source(files, fps, files[0].parent)
+    else:
+        raise InputError("there is no such file or folder", where=text, cure=_likely_cause(path))
+    return replace(source, first=first, last=last)
+
+
+def _likely_cause(path: Path) -> str:
+    """A hint for a path that does not exist."""
+    if not path.parent.is_dir():
+        return f"The folder {path.parent} does not exist either."
+    if "%" in path.name:
+        return "Use * in place of the number: 'img/*.png'."
+    names = [file.name for file in path.parent.iterdir()]
+    close = difflib.get_close_matches(path.name, names, n=1)
+    if close:
+        return f"Did you mean {path.parent / close[0]}?"
+    return "Check the spelling."
