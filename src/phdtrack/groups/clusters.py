@@ -16,9 +16,6 @@ from phdtrack.kernels.association import components
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, I8, GaussianMixture
 
-# T_v, metres per second: the relative speed within a group is lower [E13 §5].
-MAX_SPEED_DIFFERENCE = 1.0
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
@@ -47,12 +44,14 @@ class Grouping(Checked):
     Parameters
     ----------
     max_distance : T_p, metres: connected components are closer.
+    max_speed_difference : T_v, metres per second: their relative speed is lower.
     min_weight : lighter components are ignored. No paper states it. It must be below
         p_M·p_S = 0.297 (E13's values), the weight of a person after one missed detection;
         otherwise one miss removes a person from the group.
     """
 
     max_distance: Positive = 2.0
+    max_speed_difference: Positive = 1.0
     min_weight: NonNegative = 0.25
 
     def groups(self, mixture: GaussianMixture) -> Groups:
@@ -77,7 +76,7 @@ class Grouping(Checked):
         a = a[once]
         b = b[once]
         squared = ((mean[:, a] - mean[:, b]) ** 2).reshape(2, 2, -1).sum(1)
-        joined = (squared[0] < self.max_distance**2) & (squared[1] < MAX_SPEED_DIFFERENCE**2)
+        joined = (squared[0] < self.max_distance**2) & (squared[1] < self.max_speed_difference**2)
         return a[joined], b[joined]
 
 
