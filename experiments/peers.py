@@ -126,7 +126,7 @@ def bench() -> Path:
 
 
 @lru_cache(maxsize=1)
-def _made() -> tempfile.TemporaryDirectory[str]:
+def simulated_detections() -> tempfile.TemporaryDirectory[str]:
     """The clutter cases, made once a process; they go with it."""
     folder = tempfile.TemporaryDirectory()
     given = (bench() / "make_clutter.py", "--gt-root", need_data() / "mot15", "--out", folder.name)
@@ -147,7 +147,7 @@ def work(job: PeerRun) -> PeerScores:
     if job.case in SEQUENCES:
         found = folder / f"det_{job.case}" / "det.txt"
     else:
-        found = Path(_made().name) / job.case / job.sequence / "det" / "det.txt"
+        found = Path(simulated_detections().name) / job.case / job.sequence / "det" / "det.txt"
     run = followed(
         built(info, job.method, job.sets),
         Case(job.sequence, info, truth, read_detections(found)),

@@ -107,7 +107,7 @@ def test_the_short_form_runs(data: Path, tmp_path: Path, monkeypatch: pytest.Mon
     assert "| u0 | pmb |" in text
     assert "TUD-Campus" in text
     assert "| as shipped |" in (tmp_path / "defaults.md").read_text(encoding="utf-8")
-    made = Path(peers._made().name) / "u0-s1" / "TUD-Campus" / "det" / "det.txt"
+    made = Path(peers.simulated_detections().name) / "u0-s1" / "TUD-Campus" / "det" / "det.txt"
     assert len(read_detections(made)) > 100
 
 

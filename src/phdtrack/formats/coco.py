@@ -55,6 +55,12 @@ class CocoFile(NamedTuple):
 def read_coco(path: Path, content: bytes, left_out: WrongRows | None = None) -> CocoFile:
     """Parse a COCO file. Raises `InputError` if it does not have COCO's form; malformed annotations
     are added to ``left_out``, or are errors without it.
+
+    Parameters
+    ----------
+    path : the file, for messages.
+    content : its bytes.
+    left_out : receives malformed annotations; None: they are errors.
     """
     document = read_json(path, content)
     unit = "annotation"

@@ -42,6 +42,12 @@ class Entry(NamedTuple):
 def entry_of(value: Any, where: str, keys: str) -> Entry:
     """The JSON object ``value``. Raises `InputError` if it is not an object; the message names the
     ``keys`` that it should have.
+
+    Parameters
+    ----------
+    value : a parsed JSON value.
+    where : its place in the file.
+    keys : the keys that messages name.
     """
     if not isinstance(value, dict):
         raise InputError(f"expected an object with {keys}, got {brief(value)}", where=where)

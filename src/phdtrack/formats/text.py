@@ -224,6 +224,12 @@ def _decode(path: Path, content: bytes) -> str:
 def text_of_rows(path: Path, rows: Sequence[Mapping[str, str]], numbers: Sequence[int]) -> Text:
     """Rows of named cells, from the lines ``numbers`` of a file, as a table with a header; cells
     that a row does not have are empty.
+
+    Parameters
+    ----------
+    path : the file.
+    rows : the cells of each row by column.
+    numbers : the line of each row in the file.
     """
     header = tuple(dict.fromkeys(name for row in rows for name in row))
     lines = [",".join(row.get(name, "") for name in header) for row in rows]

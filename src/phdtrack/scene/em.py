@@ -188,6 +188,12 @@ def moments(p: SceneDensity, samples: Samples) -> Moments:
 def fit_em(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneDensity:
     """Fit ``p`` by at most ``steps`` steps of EM. Components that explain less than τ samples are
     removed, except the last.
+
+    Parameters
+    ----------
+    p : the initial density.
+    samples : the data.
+    steps : largest number of steps.
     """
     before = -math.inf
     for _ in range(steps):

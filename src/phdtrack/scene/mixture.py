@@ -174,6 +174,12 @@ def shown_volume(p: SceneDensity) -> float:
 def mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
     """(M,) masses of Gaussians, d ≤ 8, in the box from ``low`` to ``high``, accurate to about 1e-3
     for box states.
+
+    Parameters
+    ----------
+    mean : (d, M).
+    covariance : (M, d, d).
+    low, high : (d,) bounds of the box.
     """
     from scipy.special import ndtr, ndtri
 

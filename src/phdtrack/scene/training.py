@@ -92,8 +92,8 @@ def learn_births(states: F8, time_units: float, frame_size: tuple[float, float])
 
 
 def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], name: str) -> Training:
-    """Learn a density of boxes and their number per frame: false alarms p(z|c), r̄, or detections of
-    objects p(z|o).
+    """Learn a density of boxes and their number per frame: false alarms p(z|c), r̄, or detections
+    of objects p(z|o).
 
     Raises `InputError` for fewer than ten boxes, or no frames.
 

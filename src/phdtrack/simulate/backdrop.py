@@ -12,6 +12,13 @@ from phdtrack.types import F8, Image, SequenceInfo
 def backdrop(info: SequenceInfo, base: int, doors: F8, rng: np.random.Generator) -> Image:
     """(H, W, 3) the empty scene; the wall meets the ground in row ``base``, and ``doors`` (D, 4)
     are in pixels.
+
+    Parameters
+    ----------
+    info : size of the frame.
+    base : the row in which the wall meets the ground.
+    doors : (D, 4) xyxy, pixels.
+    rng : the random generator.
     """
     wall_rng, ground_rng = rng.spawn(2)
     image = np.concatenate(

@@ -80,6 +80,12 @@ def pyramid(sprite: Image) -> tuple[Image, ...]:
 def scaled(levels: tuple[Image, ...], box: F8, *, mirrored: bool = False) -> Placed:
     """A sprite, given in the sizes of `pyramid`, that fills ``box`` (4,) to fractions of a
     pixel.
+
+    Parameters
+    ----------
+    levels : the sizes of the sprite.
+    box : (4,) xyxy, pixels.
+    mirrored : True to mirror it left to right.
     """
     left, top, right, bottom = box.tolist()
     sprite = levels[0]
@@ -294,6 +300,11 @@ def surface(colour: tuple[float, float, float], light: F8) -> Image:
 def grain(height: int, width: int, rng: np.random.Generator) -> F8:
     """(height, width) noise of about unit variance with structure at all scales from 1 to 64
     pixels.
+
+    Parameters
+    ----------
+    height, width : size in pixels.
+    rng : the random generator.
     """
     total = np.zeros((height, width))
     for step in (64, 32, 16, 8, 4, 2, 1):
