@@ -244,7 +244,7 @@ def test_tracks_read_as_detections_keep_their_class(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("scale", "corners", "words"),
-    [(1 / 640, False, "not shares of its size"), (1, True, "corners are taken for sizes")],
+    [(1 / 640, False, "not in shares of its size"), (1, True, "corners were read as sizes")],
 )
 def test_boxes_in_other_units_are_reported(
     tmp_path: Path, rng: np.random.Generator, scale: float, corners: bool, words: str
@@ -261,5 +261,5 @@ def test_boxes_in_other_units_are_reported(
     with pytest.raises(InputError, match=words):
         within_frame(read_detections(path), SequenceInfo(640, 480, 25.0), path)
     scored = put(tmp_path, "".join(f"{k},{10 + k},20,30,40,{k / 90:.3f}\n" for k in range(1, 61)))
-    with pytest.raises(InputError, match="a score is taken for the height"):
+    with pytest.raises(InputError, match="a score was read as the height"):
         within_frame(read_detections(scored), SequenceInfo(640, 480, 25.0), scored)
