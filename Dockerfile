@@ -6,9 +6,10 @@ COPY pyproject.toml README.md LICENSE ./
 COPY src src
 RUN pip install --no-cache-dir '.[all]'
 
-# Kernels are compiled here, once, for whoever runs it; on another kind of processor they are compiled anew.
+# Kernels are compiled here once for all users; another kind of processor compiles them again.
 ENV NUMBA_CACHE_DIR=/var/cache/phdtrack
-RUN python -c "from phdtrack import Tracker; Tracker(frame_size=(1920, 1080)).warm_up()" && chmod -R a+rwX /var/cache/phdtrack
+RUN python -c "from phdtrack import Tracker; Tracker(frame_size=(1920, 1080)).warm_up()" \
+    && chmod -R a+rwX /var/cache/phdtrack
 
 WORKDIR /work
 ENTRYPOINT ["phdtrack"]

@@ -1,9 +1,9 @@
 """Fill in the hashes of a constraints file: ``python scripts/hashes.py constraints.txt``.
 
 Each line ``name==version`` gets a ``--hash=sha256:…`` for the source archive and for every wheel
-that CPython 3.11 or later can install on Linux (glibc; x86-64, ARM), macOS and Windows. After a
-version was changed by hand, run it again: all hashes are asked anew of the index that this
-machine's pip is configured with, through pip's own session. No address is kept.
+that CPython 3.11 or later can install on Linux (glibc; x86-64, ARM), macOS and Windows. Run it
+again after you change a version by hand. Hashes come from the index that this machine's pip is
+configured with, through pip's own session. No address is stored.
 """
 
 from __future__ import annotations
@@ -29,9 +29,7 @@ INTERPRETER = re.compile(r"(?:py2|py3|cp3)(\d*)")
 
 
 def wanted(file: str, version: Version) -> bool:
-    """Whether a file is the source archive of this version, or a wheel of it that can be
-    installed.
-    """
+    """Return true for the source archive of this version and for wheels to install."""
     try:
         if not file.endswith(".whl"):
             return parse_sdist_filename(file)[1] == version
@@ -54,9 +52,7 @@ def wanted(file: str, version: Version) -> bool:
 
 
 def links(collector: LinkCollector, name: str) -> Iterator[Link]:
-    """What the index has under this name; indexes on this machine's disk are no source for
-    others.
-    """
+    """Yield the files that the index lists under this name, without indexes on local disks."""
     for source in collector.collect_sources(name, lambda _: None).index_urls:
         if source is None or source.link is None or source.link.scheme == "file":
             continue

@@ -1,8 +1,8 @@
-"""The pictures of the documentation, all of rendered scenes.
+"""Make the pictures of the documentation from rendered scenes.
 
-python scripts/picture.py            docs/picture.jpg: detections with clutter, the filter's
-intensity, the tracks python scripts/picture.py gallery    docs/gallery/: the first command on each
-scene, and what teaching a scene changes
+``python scripts/picture.py`` writes docs/picture.jpg: detections with clutter, the filter's
+intensity, the tracks. ``python scripts/picture.py gallery`` writes docs/gallery/: the first command
+on each scene, and the effect of teaching a scene.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def main() -> None:
 
 
 def gallery() -> None:
-    """Run the commands in a folder of their own, and show a frame of what they wrote."""
+    """Run the commands in a temporary folder, and show a frame of their output."""
     out = OUT.parent / "gallery"
     out.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
@@ -92,7 +92,7 @@ def gallery() -> None:
 
 
 def _learned(at: Path, out: Path) -> None:
-    """The yard's detections, tracked before and after 40 frames of them were marked."""
+    """Track the yard's detections before and after 40 frames of them are marked."""
     detections = at / "yard" / "det" / "det.txt"
     labels = at / "yard.labels.sqlite"
     found = to_label(SourceOptions(detections=detections), {}, labels, Output())
@@ -120,24 +120,24 @@ def _learned(at: Path, out: Path) -> None:
 
 
 def _phdtrack(at: Path, *words: str) -> None:
-    """A command, in this folder."""
+    """Run a command in this folder."""
     subprocess.run([sys.executable, "-m", "phdtrack", *words, "--quiet"], cwd=at, check=True)
 
 
 def _frame(at: Path, scene: str) -> np.ndarray:
-    """The frame that is shown."""
+    """Return the frame to show."""
     return next(islice(open_source(str(at / scene / "scene.mp4")), SHOWN - 1, None)).image
 
 
 def _seen(at: Path, scene: str, run: str) -> np.ndarray:
-    """The frame with the detections of a run."""
+    """Draw the detections of a run."""
     found = read_detections(at / run / "detections.csv").at(SHOWN)
     drawn = Annotator(find_seqinfo(at / scene))(_frame(at, scene), SHOWN, Tracks.empty(), found)
     return _named(drawn, f"{len(found)} detections")
 
 
 def _tracked(at: Path, scene: str, run: str, text: str) -> np.ndarray:
-    """The frame with the corrected tracks of a run, and where they were in the last seconds."""
+    """Draw the corrected tracks of a run, with their paths in the last seconds."""
     annotate = Annotator(find_seqinfo(at / scene))
     tracks = read_tracks(at / run / "tracks.csv")
     for frame in islice(open_source(str(at / scene / "scene.mp4")), SHOWN):
@@ -147,14 +147,14 @@ def _tracked(at: Path, scene: str, run: str, text: str) -> np.ndarray:
 
 
 def _write(path: Path, panels: list[np.ndarray]) -> None:
-    """The panels side by side."""
+    """Write the panels side by side."""
     gap = np.full((panels[0].shape[0], 8, 3), 255, np.uint8)
     row = [one for panel in panels for one in (gap, panel)][1:]
     cv2.imwrite(str(path), np.hstack(row), [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 def _glow(image: np.ndarray, heat: np.ndarray) -> np.ndarray:
-    """The intensity over the darkened frame."""
+    """Draw the intensity over the darkened frame."""
     level = cv2.resize(
         heat / max(heat.max(), 1e-9),
         (image.shape[1], image.shape[0]),
@@ -165,7 +165,7 @@ def _glow(image: np.ndarray, heat: np.ndarray) -> np.ndarray:
 
 
 def _named(image: np.ndarray, text: str) -> np.ndarray:
-    """The panel with its name at the foot."""
+    """Write the name at the foot of a panel."""
     out = image.copy()
     cv2.rectangle(out, (0, out.shape[0] - 30), (out.shape[1], out.shape[0]), (40, 40, 40), -1)
     cv2.putText(

@@ -1,9 +1,7 @@
-"""What the site needs beside the pages in docs/: the README as its first page, the pages of
-results, docstrings as its generator expects them, equations as MathML; and links to files that are
-no pages are their names.
+"""A hook of MkDocs and an extension of Griffe for `make site`.
 
-A hook of MkDocs and an extension of Griffe, used by `make site`. The README is read where it is, so
-that it stands once.
+They add the README as the first page, list the pages of results, convert equations to MathML and
+docstrings to NumPy's style, and replace links to files that are not pages by their text.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """A page of results is listed by being there."""
+    """List every page in docs/results."""
     for entry in config.nav or []:
         if isinstance(entry, dict) and entry.get("Results") == ["results/*.md"]:
             entry["Results"] = [
@@ -34,28 +32,30 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """The README is the first page; its links begin in the folder above docs/."""
+    """Add the README as the first page, with its links relative to docs/."""
     text = (ROOT / "README.md").read_text(encoding="utf-8").replace("(docs/", "(")
     files.append(File.generated(config, "index.md", content=text))
     return files
 
 
 def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files, **_: Any) -> str:
-    """Links to what is no page of the site, as a module, are its name; MkDocs checks all others.
-    Browsers typeset MathML.
+    """Replace links to files that are not pages by their text, and equations by MathML.
+
+    MkDocs checks the remaining links.
     """
     here = (ROOT / "docs" / page.file.src_uri).parent
 
     def kept(found: re.Match[str]) -> str:
         words, target, _ = found.groups()
         path = (here / target).resolve()
+        beside_readme = page.file.src_uri == "index.md" and (ROOT / target).exists()
         outside = "://" not in target and not path.is_relative_to(ROOT / "docs")
         other = (
             path.is_relative_to(ROOT / "docs")
             and path.exists()
             and path.suffix not in (".md", ".jpg", ".png", ".ipynb")
         )
-        return words if outside or other or target == "CHANGELOG.md" else found[0]
+        return words if outside or other or beside_readme else found[0]
 
     def typeset(found: re.Match[str]) -> str:
         # Browsers know no columnalign.
@@ -67,19 +67,21 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files, 
 
 
 class Docstrings(griffe.Extension):
-    """Our docstrings say ``name : what it is``, as types are in the signature. NumPy's style has
-    the type there, and what it is in an indented line below."""
+    """Convert entries ``name : description`` to NumPy's style.
 
-    # Sections with such entries, and an entry.
+    NumPy's style has the type after the colon and the description in an indented line below. Our
+    types are in the signature.
+    """
+
     SECTIONS = ("Parameters", "Attributes", "Returns", "Yields", "Raises")
     ENTRY = re.compile(r"^(\*{0,2}\w[\w, *`]*?) : (.*)$")
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Rewrite its docstring."""
+        """Rewrite the docstring of one object."""
         if obj.docstring is None:
             return
         if obj.is_class and "__init__" not in obj.all_members:
-            # A protocol says what the arguments of its methods are.
+            # A protocol describes the arguments of its methods.
             obj.docstring.parser_options = {"warnings": False}
         lines = obj.docstring.value.replace("``", "`").split("\n")
         out = list[str]()
@@ -89,12 +91,10 @@ class Docstrings(griffe.Extension):
                 section = line.strip()
             entry = self.ENTRY.match(line) if section in self.SECTIONS else None
             if entry:
-                given = (
-                    str(getattr(obj, "returns", None) or "")
-                    if section in ("Returns", "Yields")
-                    else ""
-                )
-                out += [f"{entry[1]} : {given}" if given else entry[1], f"    {entry[2]}"]
+                type_ = ""
+                if section in ("Returns", "Yields"):
+                    type_ = str(getattr(obj, "returns", None) or "")
+                out += [f"{entry[1]} : {type_}" if type_ else entry[1], f"    {entry[2]}"]
             else:
                 out.append(line)
         obj.docstring.value = "\n".join(out)

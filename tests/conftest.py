@@ -19,25 +19,28 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 
-# On a busy machine a call may take long: time decides no test.
+# On a busy machine a call may take long: no test fails because of the time it takes.
 settings.register_profile("phdtrack", deadline=None)
 settings.load_profile("phdtrack")
 
-# A shell starts what it puts in the background with Ctrl-C ignored, and so would be every process
-# that a test starts to see what Ctrl-C does to it.
+# A shell starts background jobs with Ctrl-C ignored, and the processes that tests interrupt would
+# inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-# The same of nohup and the end of a terminal.
+# The same holds for SIGHUP under nohup.
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that are given the real sequences."""
+    """Mark tests of the real sequences ``data``, and those that start a browser ``slow``."""
     for item in items:
-        if "data" in getattr(item, "fixturenames", ()):
+        fixtures = getattr(item, "fixturenames", ())
+        if "data" in fixtures:
             item.add_marker("data")
+        if "browser" in fixtures:
+            item.add_marker("slow")
 
 
 @pytest.fixture(scope="session")

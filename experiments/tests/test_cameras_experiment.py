@@ -74,6 +74,7 @@ def test_what_is_far_behind_is_listed_by_distance() -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_the_short_form_writes_a_page(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -72,6 +72,7 @@ def turns() -> dict[str, list[SetErrors]]:
     }
 
 
+@pytest.mark.slow
 def test_targets_that_turn_are_followed(turns):
     """Nearly all of them are found by every filter, at the sensor's own accuracy: 2° at a kilometre
     are 35 m.

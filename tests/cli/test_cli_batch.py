@@ -31,6 +31,8 @@ from phdtrack.formats import TracksWriter, read_tracks
 from phdtrack.types import Tracks
 from phdtrack.video import VideoWriter
 
+pytestmark = pytest.mark.slow
+
 OPTIONS = ("--", "--no-video", "--filter", "gm-phd", "--fps", "25", "--checkpoint-every", "0.001")
 
 
@@ -406,7 +408,6 @@ def test_the_queries_of_the_page_answer_right(
     assert failed == [("door", "no video")]
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -441,7 +442,6 @@ def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(
         cluster.shutdown()
 
 
-@pytest.mark.slow
 def test_that_kernels_are_compiled_is_said_at_once(
     two: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -453,7 +453,6 @@ def test_that_kernels_are_compiled_is_said_at_once(
         child.communicate(timeout=60)
 
 
-@pytest.mark.slow
 def test_without_a_cluster_the_command_that_starts_one_is_named(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="Ray is not installed (pip install 'phdtrack[ray]')")
     clip(tmp_path / "a.mp4", 1)

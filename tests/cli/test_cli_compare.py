@@ -180,6 +180,7 @@ def stopped(out: Path, runs: int, *words: object) -> tuple[int, str, str]:
     return process.returncode, said, printed
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = (folder, "--filters", "gm-phd,none", "--clutter", 2)

@@ -27,6 +27,8 @@ from phdtrack.run.detection_log import Checkpoint
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.video import VideoWriter, open_source
 
+pytestmark = pytest.mark.slow
+
 SAME = (rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.VIDEO)
 # Ends its own process by a signal after some calls of a method.
 KILLED = """

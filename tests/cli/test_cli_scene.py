@@ -28,6 +28,7 @@ def marked(folder: Path, detections: Path, last: int) -> Path:
     return labels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "clutter"), [("particle-phd", "labels"), ("gm-phd", "labels"), ("pmb", "unattended")]
 )

@@ -15,6 +15,8 @@ import pytest
 
 import phdtrack
 
+pytestmark = pytest.mark.slow
+
 SOURCES = Path(phdtrack.__file__).parent
 FIRST = "phdtrack compiles its kernels"
 EVERY = "so in every run"
@@ -204,7 +206,6 @@ for k in range(20):
 """
 
 
-@pytest.mark.slow
 def test_particles_have_the_same_digits_where_their_kernels_are_compiled_and_where_they_are_loaded(
     tmp_path: Path,
 ) -> None:

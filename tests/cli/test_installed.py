@@ -26,6 +26,8 @@ from phdtrack import Tracker
 from phdtrack.cli.app import COMMANDS
 from phdtrack.errors import EXTRAS
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 # Modules that a core installation lacks, as they would be: nothing can import them.
@@ -287,7 +289,6 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Alone:
     return found
 
 
-@pytest.mark.slow
 def test_a_wheel_alone_in_an_empty_environment_tracks(alone: Alone) -> None:
     done = alone.run("-c", LOOP)
     assert done.returncode == 0, done.stderr
@@ -297,7 +298,6 @@ def test_a_wheel_alone_in_an_empty_environment_tracks(alone: Alone) -> None:
     assert f"pip install '{REPORTS}'" in alone.run("-m", "phdtrack", "demo", "--out", "demo").stderr
 
 
-@pytest.mark.slow
 def test_the_first_blocks_of_the_readme_can_be_pasted_one_by_one(alone: Alone) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     first, loop, more = re.findall(r"^```(?:python)?\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)[
@@ -316,7 +316,6 @@ def test_the_first_blocks_of_the_readme_can_be_pasted_one_by_one(alone: Alone) -
     assert re.search(r"^29 1 \[", done.stdout, re.MULTILINE), done.stdout
 
 
-@pytest.mark.slow
 def test_the_loops_for_those_who_come_from_elsewhere_run_with_the_real_packages(
     alone: Alone,
 ) -> None:
@@ -337,7 +336,6 @@ def test_the_loops_for_those_who_come_from_elsewhere_run_with_the_real_packages(
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.slow
 def test_the_package_trackers_and_phdtrack_take_and_give_the_same_detections(alone: Alone) -> None:
     alone.install("supervision")
     pinned = (ROOT / "benchmarks" / "peers-constraints.txt").read_text(encoding="utf-8")

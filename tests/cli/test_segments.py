@@ -20,6 +20,8 @@ from phdtrack.run.directory import claim, given_tracks
 from phdtrack.run.segments import Segment, cut, join
 from phdtrack.types import Tracks, Truth
 
+pytestmark = pytest.mark.slow
+
 CUT = ("--segment", "0.8s", "--overlap", "0.48s", "--jobs", 1)
 REST = ("--", "--no-video", "--filter", "gm-phd")
 PARTS = ["1-26", "15-"]

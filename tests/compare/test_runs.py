@@ -83,6 +83,7 @@ def test_the_same_plan_again_runs_nothing_and_gives_the_same(tmp_path: Path) -> 
     assert run(made, tmp_path / "out", anew=True).reused == 0
 
 
+@pytest.mark.slow
 def test_any_number_of_jobs_gives_the_same(tmp_path: Path) -> None:
     made = small(
         tmp_path,

@@ -1,6 +1,4 @@
-"""docs/equations.md is what the docstrings say, and the script that writes it reads them
-rightly.
-"""
+"""docs/equations.md is up to date, and the script that writes it reads docstrings correctly."""
 
 from __future__ import annotations
 

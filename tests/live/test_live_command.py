@@ -30,6 +30,8 @@ from phdtrack.live.engine import CameraSettings
 from phdtrack.live.events import Watch
 from phdtrack.types import SequenceInfo
 
+pytestmark = pytest.mark.slow
+
 SECRET = "secret99"
 
 

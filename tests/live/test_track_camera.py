@@ -29,6 +29,8 @@ from phdtrack.tracker import FinalTracks
 from phdtrack.types import Frame
 from phdtrack.video import open_source
 
+pytestmark = pytest.mark.slow
+
 
 def started(address: str, out: Path, temporary: Path | None = None) -> subprocess.Popen[str]:
     words = [
@@ -208,7 +210,6 @@ def walk(k: int) -> list[list[float]]:
     return there + ([[300.0 + k % 200, 600, 340 + k % 200, 700]] if k % 200 < 120 else [])
 
 
-@pytest.mark.slow
 def test_final_tracks_are_those_of_a_tracker_that_forgets_nothing() -> None:
     endless = Tracker((1280, 800), fps=10, associate={"history": 60.0})
     whole = Tracker((1280, 800), fps=10)

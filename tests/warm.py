@@ -1,0 +1,118 @@
+"""Compile the kernels that the tests need: ``python tests/warm.py``.
+
+Run once before several test processes start, which would otherwise compile the same kernels at the
+same time. Kernels that are up to date are only loaded.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterable
+from contextlib import suppress
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+TESTS = Path(__file__).resolve().parent
+sys.path[:0] = [str(TESTS), str(TESTS / "conformance"), str(TESTS.parent)]
+
+import shipped  # noqa: E402
+
+from composed import composed_step  # noqa: E402
+from experiments.bearing import BearingSensor, TurningMotion  # noqa: E402
+from phdtrack import Tracker  # noqa: E402
+from phdtrack.detect import make_detector  # noqa: E402
+from phdtrack.errors import InputError  # noqa: E402
+from phdtrack.models import FixedBirth, PointBirth, PointMotion, UniformClutter  # noqa: E402
+from phdtrack.protocols import Model  # noqa: E402
+from phdtrack.types import Frame, GaussianMixture  # noqa: E402
+
+GAUSSIAN = ("pmb", "pmbm", "mht", "gm-phd", "gm-cphd")
+PARTICLES = ("particle-phd", "particle-cphd", "mcmc", "none")
+GROUND = {"motion": {"kind": "plane"}, "sensor": {"scaling": "fixed", "fixed_noise": 1.0}}
+WORLDS = ({}, {"preset": "mot15"}, {"preset": "m09"}, {"preset": "d14"}, GROUND)
+SIZE = (1280, 720)
+
+
+def models() -> Iterable[Model]:
+    """Every shipped kind of model once: boxes, the ground plane, points, turning targets."""
+    yield from (shipped.model_of(sensor) for sensor in map(shipped.SENSORS.get, ("given", None)))
+    plane = shipped.PLANE_CLUTTERS["plane, region"]
+    births = shipped.PLANE_BIRTHS["plane, region"]
+    yield Model(shipped.MOTIONS["plane"], shipped.SENSORS["plane"], births, plane)
+    point = PointBirth(births_per_second=0.02, particles=200, frame_size=shipped.SIZE)
+    clutter = UniformClutter(2.0, 640.0 * 480)
+    yield Model(PointMotion(), shipped.SENSORS["point"], point, clutter)
+    mean = np.array([[300.0], [200.0], [0.0], [0.0], [0.0]])
+    birth = FixedBirth(GaussianMixture(np.array([0.1]), mean, 25.0 * np.eye(5)[None]), 200)
+    yield Model(TurningMotion(form="piecewise"), BearingSensor(0.02, 5.0), birth, clutter)
+
+
+def follow(names: Iterable[str]) -> None:
+    """Run trackers with these filters in every world, and the filters on every kind of model."""
+    for name in names:
+        for world in WORLDS:
+            with suppress(InputError):
+                Tracker(SIZE, fps=25, filter=name, **world).warm_up()
+    filters = [(name, each) for name, each in shipped.FILTERS.items() if kind(name) in names]
+    for model in models():
+        for name, each in filters:
+            # The others start with boxes.
+            if model.motion.dim == 6 or "started" not in name:
+                with suppress(InputError):
+                    steps(each, model)
+
+
+def kind(name: str) -> str:
+    return name.partition(",")[0]
+
+
+def steps(filter_: object, model: Model) -> None:
+    rng = np.random.default_rng(0)
+    z = model.sensor.measure(shipped.detections(rng, 4))
+    for advance in (type(filter_).step, composed_step):
+        state = filter_.start(model, rng)
+        for here in (z, z[:, :0], z, z):
+            state, _ = advance(filter_, state, here, model, 1.0, rng)
+
+
+def extract() -> None:
+    rng = np.random.default_rng(0)
+    for scaling in ("particle", "given"):
+        model = shipped.model_of(shipped.SENSORS[scaling])
+        z = model.sensor.measure(shipped.detections(rng, 4))
+        x = shipped.states(rng, 5)
+        for extractor in shipped.EXTRACTORS.values():
+            extractor.extract(shipped.intensity_for(extractor, x, 150, rng), z, model)
+
+
+def detect() -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.integers(90, 110, (128, 160, 3), np.uint8)
+    detector = make_detector("change")
+    for k in range(12):
+        image = ground.copy()
+        image[40:80, 10 + 8 * k : 40 + 8 * k] = (20, 30, 220)
+        detector(Frame(k + 1, k / 25, image))
+
+
+def gaussians() -> None:
+    follow(GAUSSIAN)
+
+
+def others() -> None:
+    detect()
+    extract()
+    follow(PARTICLES)
+
+
+def run(task: str) -> None:
+    warnings.simplefilter("ignore")
+    globals()[task]()
+
+
+if __name__ == "__main__":
+    with get_context("spawn").Pool(2) as pool:
+        pool.map(run, ["gaussians", "others"], chunksize=1)
