@@ -1,5 +1,5 @@
-"""The first command of everybody, `phdtrack track VIDEO`, beside a plain loop: OpenCV's MOG2, SORT
-and cv2.VideoWriter.
+"""The first command of most users, `phdtrack track VIDEO`, against a plain loop:
+OpenCV's MOG2, SORT and cv2.VideoWriter.
 
     python -m benchmarks.command [WIDTHxHEIGHT …]      print one line for each size, with and
     without annotated video python -m benchmarks.command --loop VIDEO OUT      the plain loop by
@@ -337,7 +337,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
 
 
 def main() -> None:
-    """What the arguments say."""
+    """Parse the arguments."""
     if sys.argv[1:2] == ["--loop"]:
         print(json.dumps({"fps": loop(*sys.argv[2:4])}))
         return

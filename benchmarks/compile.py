@@ -1,5 +1,5 @@
-"""First use and start: how long `phdtrack track` compiles with an empty cache, how soon it tracks
-with a full one.
+"""Measure how long `phdtrack track` compiles with an empty cache, and how soon it tracks with a
+full one.
 
     python -m benchmarks.compile
 
@@ -86,8 +86,7 @@ def watched() -> Iterator[dict[str, float]]:
 
 
 def measure(starts: int = 5) -> dict[str, Any]:
-    """What a first run compiles, and how soon after its start a process has tracked its first
-    frame.
+    """Measure what a first run compiles, and the time from start to first tracked frame.
 
     ``compile_s``: processor time of all that was compiled, ``kernels``: of each; ``first_use_s`` to
     the first frame in that run; ``start_s`` in the fastest of ``starts`` runs after it.

@@ -23,9 +23,7 @@ REPEATS = 15
 
 
 def intensities(targets: int, frames: int, seed: int = 1) -> list[tuple[Any, Any, Any]]:
-    """Of the last ``frames`` frames of a crowd: the filter's intensity, the measurements, the
-    model.
-    """
+    """Return intensity, measurements and model in the last ``frames`` frames of a crowd."""
     crowd = Crowd(targets, WARM_UP + frames)
     stream = draw(crowd, seed)
     built = stages(crowd)

@@ -102,7 +102,8 @@ def main() -> None:
     print(f"{'targets':>8}{'µs':>9}{'components':>12}{'detections':>12}{'mass':>9}{'OSPA px':>9}")
     for targets in (10, 30, 100, 300, 1000):
         m = measure(targets)
-        cells = f"{m['us']:9.1f}{m['components']:12.0f}{m['detections']:12.0f}{m['mass']:9.1f}{m['ospa']:9.2f}"
+        cells = f"{m['us']:9.1f}{m['components']:12.0f}{m['detections']:12.0f}"
+        cells += f"{m['mass']:9.1f}{m['ospa']:9.2f}"
         print(f"{targets:8d}{cells}", flush=True)
 
 

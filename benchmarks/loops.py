@@ -67,7 +67,7 @@ class Ours:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lap:
-    """What one loop did.
+    """Times and rows of one loop.
 
     ``seconds`` and ``cpu`` (T, stages): by the clock on the wall, and of processor time that the
     thread was given; ``count`` (T,) states found less truth; ``ospa`` (T,) pixels.

@@ -19,7 +19,7 @@ FLAT = 4 * 2**20
 
 
 def asked(what: str, number: int) -> dict[str, Any]:
-    """What `benchmarks.memory_process` prints."""
+    """Return what `benchmarks.memory_process` prints."""
     command = [sys.executable, "-m", "benchmarks.memory_process", what, str(number)]
     root = Path(__file__).resolve().parent.parent
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=root)

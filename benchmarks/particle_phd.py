@@ -121,8 +121,9 @@ def plain(state: Particles | ParticleBlocks) -> Particles:
 def _detail(
     targets: int, form: str, seed: int, lap: Lap, particles: int, pairs: float
 ) -> dict[str, Any]:
-    """What one run gave; the total is filter and extraction, M09's workload, without the
-    association.
+    """Return the figures of one run.
+
+    The total is filter and extraction, M09's workload, without the association.
     """
     filtering, extraction, association = (Spread.of(column, 1e3) for column in lap.seconds.T)
     total = Spread.of(lap.seconds[:, :2].sum(axis=1), 1e3)
@@ -163,7 +164,7 @@ def _row(targets: int, form: str, mine: list[dict[str, Any]]) -> Row:
 
 
 def has_threads() -> bool:
-    """Whether the filter has a setting for its threads."""
+    """Return true if the filter has a setting for its threads."""
     return any(field.name == "threads" for field in fields(ParticlePHD))
 
 

@@ -1,4 +1,4 @@
-"""What a part of the benchmark is given and what it hands back."""
+"""Arguments and results of the parts of the benchmark."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class Row:
 
     @property
     def kept(self) -> bool | None:
-        """Whether the limit is kept; None where there is none."""
+        """True if the limit is kept; None without a limit."""
         if self.most is None and self.least is None:
             return None
         return (self.most is None or self.value <= self.most) and (

@@ -20,7 +20,7 @@ OUT = Path(__file__).resolve().parent / "out"
 
 
 def machine() -> dict[str, Any]:
-    """What it ran on, and how busy that was."""
+    """The machine, and how busy it was."""
     load = os.getloadavg()[0] if os.name == "posix" else None
     return {
         "processor": _processor(),

@@ -1,4 +1,4 @@
-"""What a learned scene costs: ms per frame of each filter with learned births and false alarms,
+"""The cost of a learned scene: ms per frame of each filter with learned births and false alarms,
 against the default ones.
 
 `benchmarks.workload`'s boxes, detections in and tracks out, under the default settings of each
@@ -119,7 +119,7 @@ def _learned(stages: AnyStages, size: tuple[float, float], places: Places) -> An
 def _density(
     size: tuple[float, float], count: int, counts: tuple[int, int], wide: float = 30.0
 ) -> SceneDensity:
-    """Of states: ``count`` places about so many pixels ``wide``, or the grid."""
+    """Return a density of states: ``count`` places about ``wide`` pixels across, or the grid."""
     low, high = state_volume(size, 20.0)
     usual = np.array([0.0, 0, 0, 0, 35, 70])
     spread = np.array([wide, wide, 2, 2, 9, 18])

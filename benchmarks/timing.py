@@ -29,7 +29,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float] | F8, unit: float = 1.0) -> Spread:
-        """Of ``values`` times ``unit`` (1e3 makes milliseconds of seconds)."""
+        """Return quartiles of ``values`` times ``unit`` (1e3 turns seconds into milliseconds)."""
         array = unit * np.asarray(values, dtype=np.float64)
         low, median, high = np.percentile(array, [25, 50, 75])
         return cls(float(median), float(low), float(high), float(array.min()), len(array))

@@ -73,7 +73,7 @@ class Stream:
     table: DetectionTable
 
     def detections(self) -> list[Detections]:
-        """Those of the frames 1, 2, …"""
+        """Yield the detections of the frames 1, 2, …"""
         return [self.table.at(number) for number in range(1, self.info.frames + 1)]
 
     def truth_at(self, number: int) -> F8:
@@ -187,7 +187,7 @@ class Uncovered:
         return self.birth.sample(z, np.zeros_like(covered), sensor, seconds, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """Those of the wrapped birth model."""
+        """Return the Gaussians of the wrapped birth model."""
         return self.birth.gaussians(z, sensor, seconds)
 
     def expected(self, z: F8, seconds: float) -> float:

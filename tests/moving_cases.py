@@ -1,4 +1,4 @@
-"""Simulated scenes as a camera sees them that moves: boxes, truth and pictures carried along a
+"""Simulated scenes filmed by a moving camera: boxes, truth and pictures warped along a
 known path.
 """
 
@@ -67,7 +67,7 @@ def moving(scene: Scene, path: np.ndarray) -> Scene:
 
 
 def filmed(frame: Frame, path: np.ndarray, size: tuple[int, int]) -> Frame:
-    """What of the still picture the camera shows, (width, height)."""
+    """The part of the still picture that the camera shows, (width, height)."""
     by_middles = warp_of.back(MIDDLE) @ path[frame.number] @ MIDDLE
     picture = cv2.warpPerspective(
         frame.image, by_middles, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT

@@ -37,7 +37,7 @@ PADDING = 18
 
 
 class Graph:
-    """Nodes one after the other; what is no name is a constant."""
+    """Nodes one after the other; arguments that are not names are constants."""
 
     def __init__(self) -> None:
         self.nodes = list[onnx.NodeProto]()
@@ -58,7 +58,7 @@ class Graph:
 
 
 def found(g: Graph, x: str) -> dict[str, str]:
-    """Of (B, 3, H, W) from 0 to 1: corners and centred boxes (B, 3, 4), shares of both, and whether
+    """For (B, 3, H, W) from 0 to 1: corners and centred boxes (B, 3, 4), shares of both, and if
     there is one (B, 3, 1).
 
     A pixel belongs to a colour that leads by half.

@@ -1,4 +1,4 @@
-"""What tests look at of states and densities: draws, and a filter's targets as a mixture."""
+"""Views of states and densities for tests: draws, and a filter's targets as a mixture."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ import sys
 import warnings
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -25,9 +26,10 @@ from experiments.bearing import BearingSensor, TurningMotion  # noqa: E402
 from phdtrack import Tracker  # noqa: E402
 from phdtrack.detect import make_detector  # noqa: E402
 from phdtrack.errors import InputError  # noqa: E402
+from phdtrack.filters import Raw  # noqa: E402
 from phdtrack.models import FixedBirth, PointBirth, PointMotion, UniformClutter  # noqa: E402
 from phdtrack.protocols import Model  # noqa: E402
-from phdtrack.types import Frame, GaussianMixture  # noqa: E402
+from phdtrack.types import Frame, GaussianMixture, Particles  # noqa: E402
 
 GAUSSIAN = ("pmb", "pmbm", "mht", "gm-phd", "gm-cphd")
 PARTICLES = ("particle-phd", "particle-cphd", "mcmc", "none")
@@ -38,7 +40,10 @@ SIZE = (1280, 720)
 
 def models() -> Iterable[Model]:
     """Every shipped kind of model once: boxes, the ground plane, points, turning targets."""
-    yield from (shipped.model_of(sensor) for sensor in map(shipped.SENSORS.get, ("given", None)))
+    yield shipped.model_of()
+    yield shipped.model_of(shipped.SENSORS["given"])
+    scene = {"birth": shipped.BIRTHS["learned"], "clutter": shipped.CLUTTERS["learned"]}
+    yield replace(shipped.model_of(), **scene)
     plane = shipped.PLANE_CLUTTERS["plane, region"]
     births = shipped.PLANE_BIRTHS["plane, region"]
     yield Model(shipped.MOTIONS["plane"], shipped.SENSORS["plane"], births, plane)
@@ -70,12 +75,28 @@ def kind(name: str) -> str:
 
 
 def steps(filter_: object, model: Model) -> None:
+    """Advance a filter with arrays that are writable and read-only, which Numba compiles apart."""
     rng = np.random.default_rng(0)
-    z = model.sensor.measure(shipped.detections(rng, 4))
+    z = shipped.fixed(model.sensor.measure(shipped.detections(rng, 4)))
     for advance in (type(filter_).step, composed_step):
-        state = filter_.start(model, rng)
-        for here in (z, z[:, :0], z, z):
-            state, _ = advance(filter_, state, here, model, 1.0, rng)
+        for keep in (lambda state: state, shipped.frozen):
+            state = keep(filter_.start(model, rng))
+            for here in (z, z[:, :0], z, z):
+                state, _ = advance(filter_, state, here, model, 1.0, rng)
+                state = keep(state)
+
+
+def associate() -> None:
+    rng = np.random.default_rng(0)
+    model = shipped.model_of()
+    nothing = Particles(np.zeros((6, 0)), np.zeros(0))
+    for associator in shipped.ASSOCIATORS.values():
+        state = shipped.frozen(associator.start())
+        for number in range(1, 9):
+            z = shipped.fixed(model.sensor.measure(shipped.detections(rng, 3)))
+            found = replace(Raw().extract(nothing, z, model), tag=np.arange(3))
+            state, _ = associator.extend(state, found, z, number, float(number), model)
+        associator.finish(state, model)
 
 
 def extract() -> None:
@@ -105,6 +126,7 @@ def gaussians() -> None:
 def others() -> None:
     detect()
     extract()
+    associate()
     follow(PARTICLES)
 
 
