@@ -51,7 +51,7 @@ def test_a_comparison_leaves_tables_report_and_every_run(folder: Path, tmp_path:
     ]
     assert "6 runs" in said.out
     assert "* The best on the same input" in said.out
-    assert "one run stands for all seeds" in said.out
+    assert "one run represents all seeds" in said.out
     cells = rows(out / "compare.csv")
     runs = rows(out / "runs.csv")
     assert [(row["clutter"], row["filter"], row["seeds"]) for row in cells] == [
@@ -101,7 +101,7 @@ def test_again_and_with_another_setting(folder: Path, tmp_path: Path) -> None:
         1,
         ["settings"],
     )
-    assert "1 of them kept from before, others run again because of other settings" in other.err
+    assert "1 of them reused, others repeated because of changed settings" in other.err
     anew = phdtrack("compare", folder, *QUICK, "--out", out, "--json", "--overwrite")
     assert anew.object["reused"] == 0
 
@@ -222,4 +222,4 @@ def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
     # What is learned anew makes runs anew.
     write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=replace(learned, rate=4.0)))
     again = phdtrack("compare", folder, *QUICK, "--clutter", "4", "--scene", scene, "--out", out)
-    assert "kept from before" not in again.out
+    assert "reused" not in again.out

@@ -227,5 +227,5 @@ def test_marks_that_lie_anywhere_teach_nothing_of_where(tmp_path):
         " no place" in said.out
     )
     page = (tmp_path / "scene.html").read_text()
-    assert "False alarms: nothing learned of where from 30 samples." in page
+    assert "False alarms: no places learned from 30 samples." in page
     assert "Map of false alarms" not in page

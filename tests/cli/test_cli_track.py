@@ -289,7 +289,7 @@ def test_detections_of_later_frames_are_told(clip: Path, sequence: Path, tmp_pat
         "track", clip, "--detections", late, "--out", tmp_path / "run", "--no-video", "--json"
     )
     (warning,) = said.object["warnings"]
-    assert "the detections go on to frame 70, the frames end at 40" in warning
+    assert "the detections continue to frame 70, the frames end at 40" in warning
     part = phdtrack(
         "track",
         clip,

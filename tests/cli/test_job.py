@@ -84,7 +84,7 @@ class Clip:
             left, top, right, bottom = (int(v) for v in box(number))
             image[top:bottom, left:right] = 220
             yield Frame(number, (number - 1) / 25.0, image)
-        self.problem = "clip.mp4: ends after frame 20, its header announces 30; it may be cut short"
+        self.problem = "clip.mp4: ends after frame 20, but its header announces 30; it may be truncated"
 
 
 class Looker:

@@ -14,7 +14,8 @@ from phdtrack.groups.clusters import Groups
 from phdtrack.groups.group_stages import GroupFrame
 from phdtrack.groups.encounters import Encounter
 from phdtrack.groups.life_cycle import Event
-from phdtrack.report.drawing import Plan, PlanScene, _Canvas, identity_colour
+from phdtrack.report.drawing import Canvas, identity_colour
+from phdtrack.report.ground_plan import Plan, PlanScene
 from phdtrack.report.pages import render
 
 PLAN = Plan((-9.0, 0.0, 9.0, 10.0), 200)
@@ -70,10 +71,10 @@ def test_people_have_their_colours_and_groups_an_outline() -> None:
 
 
 def test_labels_do_not_overlap() -> None:
-    canvas = _Canvas(np.zeros((400, 600, 3), np.uint8))
+    canvas = Canvas(np.zeros((400, 600, 3), np.uint8))
     for k in range(6):
         canvas.label(f"{10 + k}", (300 + 3 * k, 300 + 2 * k), (255, 255, 255))
-    for (a, b, c, d), (e, f, g, h) in itertools.combinations(canvas.taken, 2):
+    for (a, b, c, d), (e, f, g, h) in itertools.combinations(canvas.labels, 2):
         assert c <= e or g <= a or d <= f or h <= b
 
 

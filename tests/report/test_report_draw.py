@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
 from phdtrack.report import Annotator
-from phdtrack.report.drawing import COLOURS, _kept_plate, identity_colour
+from phdtrack.report.drawing import COLOURS, cached_plate, identity_colour
 from phdtrack.types import Detections, SequenceInfo, Tracks
 
 BOX = (100.0, 80.0, 140.0, 200.0)
@@ -115,10 +115,10 @@ def test_any_box_on_any_frame_draws_without_error(
 def test_only_what_is_drawn_again_is_kept() -> None:
     """A header is of one frame: kept, those of a long video took tens of MB."""
     annotator = Annotator(SequenceInfo(320, 240, 25.0))
-    before = _kept_plate.cache_info().currsize
+    before = cached_plate.cache_info().currsize
     for number in range(1, 21):
         annotator(GREY, number, rows(BOX, frame=number), Detections.empty())
-    assert _kept_plate.cache_info().currsize <= before + 1
+    assert cached_plate.cache_info().currsize <= before + 1
 
 
 def test_pictures_and_probabilities_that_do_not_fit_are_refused() -> None:

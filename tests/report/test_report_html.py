@@ -91,9 +91,9 @@ def test_a_report_is_one_offline_file_with_every_part() -> None:
     words = page.words.replace("\u00a0", " ")
     for expected in (
         "2 objects in 24 frames (2.3 s of video)",
-        "The filter took about 12 of 48 detections (25 %) for false alarms.",
+        "About 12 of 48 detections (25 %) were rejected as false alarms.",
         "33 % of the track boxes",
-        "ran at 100.0 frames per second",
+        "Speed: 100.0 frames/s.",
         "1 min 40 s",
         "0.812",
         "undefined",
@@ -162,7 +162,7 @@ def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
     record.log_evidence[:] = np.nan
     source = report_html(replace(record, whole=record.whole._replace(false_alarms=0.0)), {})
     Page(source)
-    assert "none of them judged a false alarm" in source
+    assert "none of them rejected as a false alarm" in source
     assert "nan" not in re.sub(r'src="[^"]*"', "", source)
 
 

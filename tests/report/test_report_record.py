@@ -86,7 +86,7 @@ def test_memory_does_not_grow_with_the_pictures() -> None:
 def test_frames_that_compiled_are_no_measure_of_the_speed():
     record = run_record(10, 3, about=About(tracking_seconds=0.04, left_out=2))
     assert record.frames_per_second == pytest.approx(200)
-    assert "ran at 200.0 frames per second, not counting 2 frames of start-up." in " ".join(
+    assert "Speed: 200.0 frames/s after a 2-frame warm-up." in " ".join(
         sentences(record)
     )
     assert np.isnan(run_record(10, 3, about=About(left_out=10)).frames_per_second)
@@ -102,7 +102,7 @@ def test_tracks_that_look_wrong_are_doubted_with_what_helps() -> None:
     assert "--detections FILE" in said
     crowded = replace(fine, whole=fine.whole._replace(detections=2 * fine.whole.detections))
     (said,) = doubts(crowded, background=True)
-    assert "67 % of the detector's boxes belong to none" in said
+    assert "67 % of detections were used by no track" in said
     # Of four boxes nothing is known.
     few = replace(fine, whole=fine.whole._replace(detections=4, rows=0, predicted=0))
     assert doubts(few, background=True) == ()

@@ -94,7 +94,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 
 def test_words_and_numbers() -> None:
-    assert grouped(1234567.4) == "1\u00a0234\u00a0567"
+    assert grouped(1234567.4) == "1,234,567"
     assert (counted(1, "box", "boxes"), counted(2, "box", "boxes"), counted(0, "frame")) == (
         "1 box",
         "2 boxes",

@@ -36,7 +36,8 @@ from phdtrack.groups.pairs import Pairs
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.report.drawing import Plan, PlanScene, draw_contours
+from phdtrack.report.drawing import draw_contours
+from phdtrack.report.ground_plan import Plan, PlanScene
 from phdtrack.report.pages import lines, render
 from phdtrack.run import directory as rundir
 from phdtrack.run.detection_log import EVERY

@@ -1,13 +1,13 @@
 """The pages, sections and sentences of reports, from the Jinja2 templates in ``report/templates``,
 and ``run.json``.
 
-A report is one file that can be read without network, on a phone, on paper and in the dark:
-pictures are ``data:`` addresses, the style sheet is inline, there is no script, and a content
-security policy forbids to fetch anything. Whatever a template prints is escaped, unless it is
-`markupsafe.Markup`. Control characters and lone surrogates, which no browser shows, become �.
+A report is one file that can be read offline, on a phone, on paper and in dark mode: pictures are
+``data:`` addresses, the style sheet is inline, there is no script, and a content security policy
+forbids loading anything. Templates escape everything except `markupsafe.Markup`. Control characters
+and lone surrogates, which browsers do not show, become �.
 
-``run.json`` and its like are plain JSON: values that are not numbers (NaN, infinity) become null,
-arrays lists, paths strings. Keys keep their names and order; new ones are added at the end.
+``run.json`` and similar files are plain JSON: NaN and infinity become null, arrays lists, paths
+strings. Keys keep their names and order; new ones are added at the end.
 """
 
 from __future__ import annotations
@@ -30,24 +30,22 @@ from phdtrack.report.record import STAGES, RunRecord, known_mean
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-# A space that does not break; unlike the narrow ones every legacy terminal encoding has it.
+# A non-breaking space; unlike narrow ones, every legacy terminal encoding has it.
 _NBSP = "\u00a0"
 _NOT_SHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
-# A track below `_SHORT` seconds is short. Doubtful is a share of short tracks above `_MOST_SHORT`
-# (0 to .2 where tracks were good), among at least `_ENOUGH`, and a share of boxes without a track
-# above `_MOST_UNUSED` (0 to .3).
-_SHORT = 0.5
-_MOST_SHORT = 0.3
-_MOST_UNUSED = 0.4
-_ENOUGH = 5
+# Seconds below which a track is short; shares of short tracks, and of detections without a track,
+# above which tracks are doubtful (good runs have up to .2, and up to .3); the number of tracks or
+# detections that such a judgement needs.
+_SHORT_TRACK = 0.5
+_MAX_SHORT = 0.3
+_MAX_UNUSED = 0.4
+_MIN_COUNT = 5
 _STAGE_TIMES = ("mean", "median", "p95", "share")
 
 
 @cache
 def environment() -> Environment:
-    """Where the templates are, and the functions that they can call. Jinja2 is imported here, on
-    first use.
-    """
+    """The templates, and the functions that they can call. Jinja2 is imported on first use."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
     made = Environment(
@@ -72,46 +70,44 @@ def render(template: str, **context: object) -> Markup:
 
 
 def lines(template: str, **context: object) -> tuple[str, ...]:
-    """The sentences of a text template, which has one on each line."""
+    """The sentences of a text template, one per line."""
     return tuple(
         str(line).strip() for line in render(template, **context).split("\n") if line.strip()
     )
 
 
 def score_meanings() -> dict[str, str]:
-    """What each score says, and where less of it is better, by its name."""
+    """A short description of each score, by its name."""
     found: dict[str, str] = vars(environment().get_template("scores.html").module)["meanings"]
     return found
 
 
 def sentences(record: RunRecord) -> tuple[str, ...]:
-    """What happened in a run, in a few sentences for the report, the terminal and ``run.json``."""
+    """A summary of a run in a few sentences, for the report, the terminal and ``run.json``."""
     return lines("summary.txt", record=record)
 
 
 def doubts(record: RunRecord, *, background: bool) -> tuple[str, ...]:
-    """What makes the tracks of a run doubtful, with what would help, in a sentence; none where
-    nothing does.
+    """A warning if the tracks of a run are probably wrong, with the cure; else empty.
 
-    Many short tracks are doubtful with any detector, many boxes without a track where they come
-    from a ``background`` one: other detectors' low scores are the filter's work.
+    Many short tracks are suspicious with any detector. Many detections without a track are so only
+    with a ``background`` detector: others report weak detections for the filter to reject.
     """
-    length = record.lifetimes
+    lengths = record.lifetimes
+    if len(lengths) >= _MIN_COUNT:
+        short = float((lengths < _SHORT_TRACK * record.info.fps).mean())
+        if short > _MAX_SHORT:
+            return lines("doubts.txt", short=short, count=len(lengths))
     whole = record.whole
-    if len(length):
-        short = float((length < _SHORT * record.info.fps).mean())
-    else:
-        short = 0.0
-    if background and whole.detections >= _ENOUGH:
+    if background and whole.detections >= _MIN_COUNT:
         unused = 1 - (whole.rows - whole.predicted) / whole.detections
-    else:
-        unused = 0.0
-    limits = {"most_short": _MOST_SHORT, "most_unused": _MOST_UNUSED, "enough": _ENOUGH}
-    return lines("doubts.txt", short=short, count=len(length), unused=unused, **limits)
+        if unused > _MAX_UNUSED:
+            return lines("doubts.txt", short=0.0, unused=unused)
+    return ()
 
 
 def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
-    """The report of a run, the whole page; ``config`` are the settings, listed at the end."""
+    """The whole page of a run's report; ``config`` holds the settings, listed at the end."""
     title = record.about.title or record.info.name or "Tracking run"
     lead = " ".join(sentences(record))
     return str(
@@ -120,13 +116,13 @@ def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
 
 
 def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, object]:
-    """The run as JSON values: ``config`` is the whole configuration as nested mappings.
+    """The run as JSON values; ``config`` is the whole configuration as nested mappings.
 
-    Times are seconds. ``frames_per_second`` is that of everything from the first frame up to the
-    report: detection, tracking, drawing; but for the ``frames_left_out`` in which kernels were
-    compiled or loaded. It has this meaning in the report and on the terminal, too; ``stages`` are
-    milliseconds per frame, whose sum may exceed a frame's share of the time because stages overlap.
-    ``log_evidence`` is that of each frame, null where the filter has none.
+    Times are seconds. ``frames_per_second`` covers everything up to the report (detection,
+    tracking, drawing), except the ``frames_left_out`` in which kernels were compiled or loaded; it
+    means the same in the report and on the terminal. ``stages`` are milliseconds per frame; their
+    sum may exceed the time per frame because stages overlap. ``log_evidence`` has one value per
+    frame, null if the filter has none.
     """
     about = record.about
     info = record.info
@@ -165,19 +161,25 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
 
 
 def grouped(number: float) -> str:
-    """A whole number with spaces between groups of three digits."""
-    return f"{round(number):,}".replace(",", _NBSP)
+    """A whole number with commas between groups of three digits."""
+    return f"{round(number):,}"
 
 
 def counted(number: int, *noun: str) -> str:
-    """A number with its noun, as "1 frame" and "2 frames"; its plural is the second where that has
-    more than an s.
+    """A number with its noun, such as "1 frame" and "2 frames"; an irregular plural is the second
+    noun.
     """
-    return f"{grouped(number)} {noun[0] if number == 1 else (*noun, f'{noun[0]}s')[1]}"
+    if number == 1:
+        word = noun[0]
+    elif len(noun) > 1:
+        word = noun[1]
+    else:
+        word = f"{noun[0]}s"
+    return f"{grouped(number)} {word}"
 
 
 def duration(seconds: float) -> str:
-    """Such as "8.2 s", "1 min 54 s", "2 h 5 min"."""
+    """A time such as "8.2 s", "1 min 54 s", "2 h 5 min"."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     if seconds < 3600:
@@ -186,15 +188,16 @@ def duration(seconds: float) -> str:
 
 
 def percent(part: float, whole: float = 1.0) -> str:
-    """The share in per cent, with a decimal where it is small; a dash where the whole is 0."""
+    """The share in per cent, with a decimal if it is below 10 %; a dash if the whole is 0."""
     if not whole > 0:
         return "–"
     share = 100 * part / whole
-    return f"{share:.{1 if 0 < share < 10 else 0}f}{_NBSP}%"
+    decimals = 1 if 0 < share < 10 else 0
+    return f"{share:.{decimals}f}{_NBSP}%"
 
 
 def score(value: float) -> str:
-    """A score with three decimals, a count without any."""
+    """A score with three decimals, a count without decimals."""
     if not math.isfinite(value):
         return "undefined"
     if isinstance(value, int | np.integer):
@@ -203,8 +206,8 @@ def score(value: float) -> str:
 
 
 def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str, str], ...]:
-    """Pairs (dotted name, text) of a nested configuration, in its order: the form that ``--set``
-    takes.
+    """Pairs (dotted name, text) of a nested configuration, in its order, as ``--set`` takes
+    them.
     """
     pairs: list[tuple[str, str]] = []
     for key, value in config.items():
@@ -216,9 +219,6 @@ def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str
 
 
 def write_run(path: Path, document: Mapping[str, object]) -> None:
-    """Write the document as indented UTF-8. Raises `InputError` where the file cannot be
-    written.
-    """
-    write_text(
-        path, json.dumps(json_value(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    )
+    """Write the document as indented UTF-8. Raises `InputError` if the file cannot be written."""
+    text = json.dumps(json_value(document), indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")

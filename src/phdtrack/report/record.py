@@ -1,7 +1,7 @@
-"""What the report of a run shows, and the recorder that collects it while the run goes on.
+"""The contents of a run's report, and the recorder that collects them during the run.
 
-A `Recorder` keeps numbers per frame and a small picture, so that memory does not grow with the
-video beyond some hundred bytes a frame.
+A `Recorder` keeps a few numbers per frame and one small picture, so that memory grows by some
+hundred bytes per frame.
 """
 
 from __future__ import annotations
@@ -20,26 +20,25 @@ from phdtrack.types import F8, I8, Frame, Image, SequenceInfo, Step, Tracks, Tru
 
 STAGES = ("detect", "filter", "extract", "associate")
 NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
-# Of the picture that is kept, in pixels.
+# Width in pixels of the picture that is kept.
 _PICTURE_WIDTH = 800
 
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What is said of a run in words and single values.
+    """Sentences and single values that describe a run.
 
     Attributes
     ----------
-    title, command, started : the heading, the line that was run, an ISO time.
-    seed, seconds : of everything random; wall time of everything.
+    title, command, started : the heading, the command line, an ISO time.
+    seed, seconds : of the random numbers; wall time of the whole run.
     versions, scores : pairs of name and value.
     warnings, notes : sentences to show.
-    tracking_seconds : wall time of detection and tracking, which overlap; 0 where not measured.
-    left_out : frames in which kernels were compiled or loaded; ``tracking_seconds`` is without
-        them.
-    finishing_seconds : wall time of what follows up to the report: corrected tracks, scores,
-        annotated video.
-    sections : of the report, as markup, that come after the key figures.
+    tracking_seconds : wall time of detection and tracking, which overlap; 0 if not measured.
+    left_out : frames in which kernels were compiled or loaded; not in ``tracking_seconds``.
+    finishing_seconds : wall time from then up to the report: corrected tracks, scores, annotated
+        video.
+    sections : further sections of the report, as markup, after the key figures.
     """
 
     title: str = ""
@@ -58,13 +57,13 @@ class About:
 
 
 class Whole(NamedTuple):
-    """Counts of a whole run, of which a record may hold the last part only.
+    """Counts of a whole run; a record may only hold the last part of it.
 
     Attributes
     ----------
-    frames, seconds : how many, and from the first to the last one.
-    detections, false_alarms : how many, and how many of them are expected to be false.
-    classes : how many objects there were of each class.
+    frames, seconds : number of frames, and time from the first to the last one.
+    detections, false_alarms : number of detections, and the expected number of false ones.
+    classes : number of objects of each class.
     rows, predicted : rows of the corrected tracks, and those without a detection.
     """
 
@@ -78,42 +77,42 @@ class Whole(NamedTuple):
 
     @property
     def objects(self) -> int:
-        """Of all classes."""
+        """Number of objects of all classes."""
         return self.classes.total()
 
     def with_rows(self, rows: Tracks, *known: set[int]) -> Whole:
-        """With corrected rows; identities that are ``known`` were counted before."""
+        """Add corrected rows; ``known`` identities have been counted before."""
         names, first = np.unique(rows.identity, return_index=True)
-        fresh = first[~np.isin(names, [*set().union(*known)])]
-        classes = self.classes + Counter(rows.class_id[fresh].tolist())
-        predicted = int(rows.predicted.sum())
+        new = first[~np.isin(names, [*set().union(*known)])]
         return self._replace(
-            classes=classes, rows=self.rows + len(rows), predicted=self.predicted + predicted
+            classes=self.classes + Counter(rows.class_id[new].tolist()),
+            rows=self.rows + len(rows),
+            predicted=self.predicted + int(rows.predicted.sum()),
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """Everything that a report shows of a run of F frames.
+    """Everything that a report shows of a run with F frames.
 
     Attributes
     ----------
-    info, about : the sequence; words and single values.
+    info, about : the sequence; sentences and single values.
     tracks : the corrected tracks.
     numbers, times : (F,) frame numbers from 1, ascending, and seconds.
-    n_detections : (F,) detections.
-    mass : (F,) expected number of objects, the integral of the intensity; NaN where the filter has
+    n_detections : (F,) number of detections.
+    mass : (F,) expected number of objects, the integral of the intensity; NaN if the filter has
         none.
     clutter_mass : (F,) expected number of false alarms, the sum of κ/(κ + C) over the detections.
-    count_range : (F, 2) between which numbers the filter's number of objects lies with 90 %
-        probability; NaN in frames without a distribution, (0, 2) where no frame has one.
-    seconds : (F, S) time that each of the `STAGES` took.
-    truth_count : (F,) annotated objects, or (0,) where there is no truth.
+    count_range : (F, 2) 90 % interval of the filter's number of objects; NaN in frames without a
+        distribution, (0, 2) if no frame has one.
+    seconds : (F, S) time of each of the `STAGES`.
+    truth_count : (F,) annotated objects, or (0,) without truth.
     background : (h, w, 3) BGR frame from the second half, scaled down; (0, 0, 3) without video.
     log_evidence : (F,) `UpdateInfo.log_evidence`; NaN in frames without it.
     whole : counts of the whole run.
-    track_count : (F,) tracks in each frame; online ones where there was no end to the source.
-    names : what classes are called; None without classes.
+    track_count : (F,) tracks in each frame; online ones if the source has no end.
+    names : names of the classes; None without classes.
     """
 
     info: SequenceInfo
@@ -138,37 +137,39 @@ class RunRecord:
 
     @property
     def lifetimes(self) -> I8:
-        """(n,) number of boxes of each identity, ascending."""
+        """(n,) number of boxes of each track, ascending."""
         return np.sort(np.unique(self.tracks.identity, return_counts=True)[1])
 
     @property
     def by_class(self) -> Mapping[str, int]:
-        """The number of tracks of each class that has any, by its name; {} without classes."""
+        """The number of tracks of each class with tracks, by its name; empty without classes."""
         if self.names is None:
             return {}
         return {
-            self.names.get(one, str(one)): count
-            for one, count in sorted(self.whole.classes.items())
+            self.names.get(number, str(number)): count
+            for number, count in sorted(self.whole.classes.items())
         }
 
     @property
     def frames_per_second(self) -> float:
-        """Frames over the wall time from the first one up to the report, as if frames left out had
-        taken as long as others.
+        """Frames per second of wall time up to the report, as if frames left out had taken as long
+        as others.
 
-        Where it was not measured it is by the sum of the stages; NaN without either.
+        If it was not measured, the time is the sum of the stages; NaN without either.
         """
         about = self.about
         frames = self.whole.frames
-        total = about.tracking_seconds or (0.0 if about.left_out else float(self.seconds.sum()))
+        total = about.tracking_seconds
+        if not total and not about.left_out:
+            total = float(self.seconds.sum())
         if not total > 0 or frames <= about.left_out:
             return math.nan
         return 1 / (total / (frames - about.left_out) + about.finishing_seconds / frames)
 
     @property
     def stage_times(self) -> Mapping[str, Sequence[float]]:
-        """By stage, and together: mean, median, 95th percentile in ms per frame, share of the
-        whole; {} without frames.
+        """Mean, median and 95th percentile in ms per frame, and share of the total, by stage and
+        together; empty without frames.
         """
         if not len(self):
             return {}
@@ -181,13 +182,13 @@ class RunRecord:
 
 
 class Recorder:
-    """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end
-    or when it breaks off.
+    """Collects a `RunRecord` during a run: call `add` for every frame in order, and `record` at the
+    end or after an interruption.
 
-    The picture that is kept is of the 1st, 2nd, 4th, 8th, … frame, the last of these. ``truth`` is
-    None where nothing is annotated. Of more than ``most`` frames the last ones are kept, and
-    corrected rows are to be counted by `count`, when they are final. ``blur`` (`arrays.pixelated`)
-    hides boxes of detections, estimates and tracks.
+    The picture is that of the last of the 1st, 2nd, 4th, 8th, … frames. ``truth`` is None without
+    annotations. If ``most`` is given, only that many of the last frames are kept, and corrected
+    rows must be passed to `count` when they are final. ``blur`` (`arrays.pixelated`) hides boxes of
+    detections, estimates and tracks.
     """
 
     def __init__(
@@ -204,20 +205,20 @@ class Recorder:
         self._endless = most is not None
         self._whole = Whole(0, 0.0, 0, 0.0, Counter(), 0, 0)
         self._first = math.nan
-        # Identities of the last two times that rows were counted.
+        # Identities in the last two calls of `count`.
         self._known = set[int](), set[int]()
         # The picture that is kept, and the number of its frame.
         self._picture = NO_IMAGE
         self._pictured = 0
 
     def add(self, frame: Frame | None, step: Step, detect_seconds: float) -> None:
-        """Take in one frame.
+        """Add one frame.
 
         Parameters
         ----------
-        frame : whose picture is shown, None without video.
-        step : what the tracker made of the frame.
-        detect_seconds : time that detection took, seconds.
+        frame : the frame with its picture; None without video.
+        step : the tracker's results for the frame.
+        detect_seconds : time of detection, seconds.
         """
         info = step.info
         whole = self._whole
@@ -227,9 +228,7 @@ class Recorder:
         self._rows.append(
             (*row, *_likely_range(info.cardinality), tracks, detect_seconds, *step.seconds)
         )
-        if whole.frames:
-            self._first = self._first
-        else:
+        if not whole.frames:
             self._first = step.time
         self._whole = whole._replace(
             frames=whole.frames + 1,
@@ -243,19 +242,28 @@ class Recorder:
             self._pictured = step.number
 
     def count(self, rows: Tracks) -> None:
-        """Count corrected rows of a source without an end."""
+        """Count final corrected rows of a source without end."""
         self._whole = self._whole.with_rows(rows, *self._known)
-        # No track is away for longer.
+        # No track is absent for longer.
         self._known = self._known[1], set(rows.identity.tolist())
 
     def record(self, tracks: Tracks, about: About) -> RunRecord:
-        """Everything so far, with the corrected tracks of all frames that are kept; collecting may
-        go on.
+        """The record so far, with the corrected tracks of all frames that are kept; more frames
+        may follow.
         """
-        truth = self._truth
         table = np.array(self._rows, dtype=np.float64).reshape(-1, 9 + len(STAGES))
         numbers = table[:, 0].astype(np.int64)
         ranges = table[:, 6:8]
+        if not np.isfinite(ranges).any():
+            ranges = ranges[:0]
+        truth_count = np.zeros(0, np.int64)
+        if self._truth is not None:
+            truth_count = _count(self._truth.frame[~self._truth.distractor], numbers)
+        whole = self._whole
+        track_count = table[:, 8].astype(np.int64)
+        if not self._endless:
+            whole = whole.with_rows(tracks)
+            track_count = _count(tracks.frame, numbers)
         return RunRecord(
             info=self._info,
             about=about,
@@ -265,28 +273,22 @@ class Recorder:
             n_detections=table[:, 2].astype(np.int64),
             mass=table[:, 3],
             clutter_mass=table[:, 4],
-            count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
+            count_range=ranges,
             seconds=table[:, 9:],
-            truth_count=np.zeros(0, np.int64)
-            if truth is None
-            else _count(truth.frame[~truth.distractor], numbers),
+            truth_count=truth_count,
             background=self._hidden(self._picture, tracks.xyxy[tracks.frame == self._pictured]),
             log_evidence=table[:, 5],
-            whole=self._whole if self._endless else self._whole.with_rows(tracks),
-            track_count=table[:, 8].astype(np.int64)
-            if self._endless
-            else _count(tracks.frame, numbers),
+            whole=whole,
+            track_count=track_count,
         )
 
     def _hidden(self, image: Image, boxes: F8) -> Image:
-        """A small picture of a frame with what is in boxes of the frame, in its own pixels,
-        hidden.
-        """
+        """A small picture of a frame with the content of boxes, in pixels of the frame, hidden."""
         return pixelated(image, image.shape[1] / max(1, self._info.width) * boxes, self._blur)
 
 
 def known_mean(values: F8) -> float:
-    """The mean of those that are finite; NaN without any."""
+    """The mean of the finite values; NaN without any."""
     known = values[np.isfinite(values)]
     if len(known):
         return float(known.mean())
@@ -294,29 +296,27 @@ def known_mean(values: F8) -> float:
 
 
 def shrunk(image: Image, width: int) -> Image:
-    """The picture at most ``width`` pixels wide; itself where it is not wider."""
-    high, wide = image.shape[:2]
-    if wide <= width:
+    """The picture shrunk to ``width`` pixels; a narrower one keeps its size."""
+    rows, columns = image.shape[:2]
+    if columns <= width:
         return image
-    small: Image = cv2.resize(
-        image, (width, max(1, round(high * width / wide))), interpolation=cv2.INTER_AREA
-    )
-    return small
+    size = (width, max(1, round(rows * width / columns)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _small(frame: Frame) -> Image:
-    """The picture of a frame as it is kept; a decoder makes no larger one for it."""
+    """The small picture of a frame; a decoder converts no larger one for it."""
     if isinstance(frame.picture, np.ndarray):
         return shrunk(frame.picture, _PICTURE_WIDTH).copy()
-    wide, high = frame.picture.size
-    width = min(wide, _PICTURE_WIDTH)
-    return np.asarray(frame.picture.bgr((width, max(1, round(high * width / wide)))))
+    columns, rows = frame.picture.size
+    width = min(columns, _PICTURE_WIDTH)
+    return np.asarray(frame.picture.bgr((width, max(1, round(rows * width / columns)))))
 
 
 def _count(frame: I8, numbers: I8) -> I8:
-    """(F,) how many entries of ``frame`` (M,) equal each of ``numbers`` (F,)."""
-    first, end = (np.searchsorted(np.sort(frame), numbers, side) for side in ("left", "right"))
-    return end - first
+    """(F,) number of entries of ``frame`` (M,) that equal each of ``numbers`` (F,)."""
+    ordered = np.sort(frame)
+    return np.searchsorted(ordered, numbers, "right") - np.searchsorted(ordered, numbers, "left")
 
 
 def _likely_range(cardinality: F8) -> tuple[float, float]:
