@@ -13,7 +13,8 @@ from smoothing_cases import model_of, piece, sequence, walk
 from phdtrack.kernels import rts
 from phdtrack.protocols import Model
 from phdtrack.smooth.paths import paths_of
-from phdtrack.smooth.smoothing import Sequence, Smoothing, _candidates, _matched
+from phdtrack.smooth.sequence import Sequence
+from phdtrack.smooth.stitching import Stitching, best_successors, candidates
 from phdtrack.types import MeasurementHistory
 from reference import smoothing_twin as twin
 
@@ -157,7 +158,7 @@ def test_noises_of_a_track_are_those_of_a_model_that_has_them(rng):
     )
     paths, want, other = smoothed(tracks, measured, fine)
     seen = Sequence.of(measured, model)
-    scales = seen._scales(np.array(FITTED)[:, None])
+    scales = seen.scales(np.array(FITTED)[:, None])
     np.testing.assert_allclose(seen.smooth(paths, scales).mean, want.mean, rtol=1e-9)
     np.testing.assert_allclose(
         seen.smooth(paths, scales).covariance, want.covariance, rtol=1e-9, atol=1e-9
@@ -166,7 +167,7 @@ def test_noises_of_a_track_are_those_of_a_model_that_has_them(rng):
     density = twin.log_density(
         fine.motion, measured.time, other, paths.measurement
     ) + 26 * 2 * np.log(2 * np.pi)
-    assert seen._filtered(paths, scales).evidence.sum() == pytest.approx(density, rel=1e-9)
+    assert seen.filtered(paths, scales).evidence.sum() == pytest.approx(density, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -209,10 +210,8 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
     tracks, measured = sequence([piece(walked, 1, (1, 9)), piece(walked, 1, (15, n))], n, model)
     seen = Sequence.of(measured, model)
     paths = paths_of(tracks, measured)
-    settings = Smoothing(
-        mean_occluded_time=0.4, max_gap=2.0, max_overlap_time=0.0, reentry_probability=0.25
-    )
-    before, after, odds = _candidates(paths, seen.smooth(paths), seen, settings)
+    settings = Stitching(0.4 * model.rate, 2.0 * model.rate, 0.0, 0.25)
+    before, after, odds = candidates(paths, seen.smooth(paths), seen, settings)
     assert (before.tolist(), after.tolist()) == ([0], [1])
     one = np.concatenate([np.arange(9), np.full(5, -1), np.arange(9, 19)])
     ratio = twin.log_density(model.motion, measured.time, seen, one)
@@ -231,7 +230,7 @@ def test_the_matching_is_the_best_of_all(seed: int):
     k = 5
     odds = np.where(rng.random((k, k)) < 0.6, rng.normal(1, 3, (k, k)), -1.0)
     before, after = np.nonzero(odds > -0.5)
-    found = _matched(before, after, odds[before, after], k)
+    found = best_successors(before, after, odds[before, after], k)
 
     def best(row: int, free: frozenset[int]) -> float:
         if row == k:

@@ -33,7 +33,9 @@ def test_a_track_that_was_cut_is_one_again(missing: int, seed: int):
         max_gap_uncertainty=100.0,
     )
     assert names(tracks) == {1: list(range(1, 61)), 2: list(range(1, 61))}
-    gap = tracks.select((tracks.identity == 1) & (tracks.frame > 20) & (tracks.frame <= 20 + missing))
+    gap = tracks.select(
+        (tracks.identity == 1) & (tracks.frame > 20) & (tracks.frame <= 20 + missing)
+    )
     assert (gap.detection == -1).all()
     centre = gap.xyxy[:, :2] + gap.xyxy[:, 2:]
     np.testing.assert_allclose(

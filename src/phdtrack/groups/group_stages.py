@@ -22,7 +22,7 @@ from phdtrack.groups.life_cycle import Event, GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pairs import Pairs, PairState, Walkers
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.smooth.paths import paths_of
-from phdtrack.smooth.smoothing import Sequence
+from phdtrack.smooth.sequence import Sequence
 from phdtrack.types import F8, I8, Detections, GaussianMixture, MeasurementHistory, Step, Tracks
 
 # Head count from which a cluster without a track is a group: Vo and Ma's threshold for a target.

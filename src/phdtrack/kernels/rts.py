@@ -212,7 +212,7 @@ def filtered(
     frame, its path, the column of its measurement, −1 for none. ``ahead``: where the motion takes
     them: means, Jacobians, noises. ``kept``: predictions, Jacobians and noises, filled where they
     are not empty. ``seen``: measurements as states (d, Z), covariances, and the rows that they
-    show. ``scales``: of the deviations of each path's noises. ``evidence`` (2, K) grows.
+    show. ``scales`` (K, d), (K, r): factors of each path's noises. ``evidence`` (2, K) grows.
     """
     mean, covariance = now
     moved, jacobian, noise = ahead

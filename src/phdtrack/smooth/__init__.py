@@ -1,1 +1,1 @@
-"""Corrected tracks when everything is known: pieces of one target joined, and all rows smoothed."""
+"""Corrected tracks: stitched and smoothed with all measurements, past and future."""

@@ -1,6 +1,4 @@
-"""Trajectories as rows: a trajectory has a row in every frame from its first measurement to its
-last.
-"""
+"""Trajectories as rows: one row in every frame from the first measurement to the last."""
 
 from __future__ import annotations
 
@@ -18,11 +16,9 @@ class Paths:
     Attributes
     ----------
     start : (K + 1,) path k has the rows from start[k] to start[k + 1] − 1.
-    frame : (M,) place of each row's frame among those of the sequence; along a path it grows by
-        one.
-    measurement : (M,) the measurement that the row rests on, −1 where there is none; never −1 in
-        first and last rows.
-    row : (M,) the row of the tracks that it comes from, −1 where there is none.
+    frame : (M,) index of each row's frame in the sequence; it grows by one along a path.
+    measurement : (M,) the measurement of the row, −1 for none; never −1 in first and last rows.
+    row : (M,) the corresponding row of the tracks, −1 for none.
     """
 
     start: I8
@@ -48,15 +44,15 @@ class Paths:
         """(M,) the path of each row."""
         return np.repeat(np.arange(len(self)), np.diff(self.start))
 
-    def select(self, wanted: Bool) -> Paths:
-        """The paths that are ``wanted`` (K,)."""
-        rows = wanted[self.path]
-        length = np.diff(self.start)[wanted]
+    def select(self, mask: Bool) -> Paths:
+        """The paths for which ``mask`` (K,) is True."""
+        rows = mask[self.path]
+        length = np.diff(self.start)[mask]
         start = np.concatenate(([0], np.cumsum(length)))
         return Paths(start, self.frame[rows], self.measurement[rows], self.row[rows])
 
     def repeated(self, times: int) -> Paths:
-        """All paths in their order, and again, so many times."""
+        """All paths in their order, repeated so many times."""
         start = np.concatenate(([0], np.cumsum(np.tile(np.diff(self.start), times))))
         return Paths(
             start, *(np.tile(part, times) for part in (self.frame, self.measurement, self.row))
@@ -66,8 +62,8 @@ class Paths:
 def paths_of(tracks: Tracks, measurements: MeasurementHistory) -> Paths:
     """The tracks from their first measurement to their last, in the order of their identities.
 
-    A track that rests on no measurement has no path. A measurement that several tracks rest on (one
-    box of two people) is given to none of them.
+    A track without measurements has no path. A measurement shared by several tracks (one box of two
+    people) belongs to none of them.
     """
     place = np.searchsorted(measurements.number, tracks.frame)
     column = np.where(tracks.detection >= 0, measurements.start[place] + tracks.detection, -1)
@@ -81,37 +77,39 @@ def paths_of(tracks: Tracks, measurements: MeasurementHistory) -> Paths:
     begin = place[measured[first]]
     end = place[measured[first + count - 1]]
     at = np.minimum(np.searchsorted(names, tracks.identity), max(len(names) - 1, 0))
-    held = np.flatnonzero(np.isin(tracks.identity, names))
-    held = held[(place[held] >= begin[at[held]]) & (place[held] <= end[at[held]])]
-    return _laid_out((begin, end), at[held], place[held], column[held], held)
+    rows = np.flatnonzero(np.isin(tracks.identity, names))
+    rows = rows[(place[rows] >= begin[at[rows]]) & (place[rows] <= end[at[rows]])]
+    return _filled((begin, end), at[rows], place[rows], column[rows], rows)
 
 
 def joined(paths: Paths, chain: I8) -> Paths:
-    """Paths of one ``chain`` (K,), numbered from 0, as one path; rows between its paths rest on
-    nothing.
+    """Join the paths of each ``chain`` (K,), numbered from 0. Rows between them have no
+    measurement.
 
-    Where two overlap in time, a measurement is preferred to none, and of two measurements the
-    earlier path's is taken up to the middle of the overlap, and the later one's from there on.
+    Where two paths overlap in time, a measurement is preferred to none; of two measurements that of
+    the earlier path is used up to the middle of the overlap, and that of the later one from there
+    on.
     """
     begin = paths.frame[paths.first]
     end = paths.frame[paths.last]
     order = np.lexsort((begin, chain))
     follows = chain[order][1:] == chain[order][:-1]
-    since = begin.copy()
-    until = end + 1
+    preferred_from = begin.copy()
+    preferred_to = end + 1
     before = order[:-1][follows]
     after = order[1:][follows]
     middle = (begin[after] + end[before] + 1) // 2
-    since[after] = np.maximum(since[after], middle)
-    until[before] = np.minimum(until[before], middle)
+    preferred_from[after] = np.maximum(preferred_from[after], middle)
+    preferred_to[before] = np.minimum(preferred_to[before], middle)
     path = paths.path
-    preferred = (paths.frame >= since[path]) & (paths.frame < until[path])
+    preferred = (paths.frame >= preferred_from[path]) & (paths.frame < preferred_to[path])
     rank = np.argsort(2 * (paths.measurement >= 0) + preferred, kind="stable")
-    first, last = np.full((2, chain.max(initial=-1) + 1), end.max(initial=0) + 1, np.int64)
-    last[:] = -1
+    count = chain.max(initial=-1) + 1
+    first = np.full(count, end.max(initial=0) + 1, np.int64)
+    last = np.full(count, -1, np.int64)
     np.minimum.at(first, chain, begin)
     np.maximum.at(last, chain, end)
-    return _laid_out(
+    return _filled(
         (first, last),
         chain[path][rank],
         paths.frame[rank],
@@ -120,15 +118,16 @@ def joined(paths: Paths, chain: I8) -> Paths:
     )
 
 
-def _laid_out(ends: tuple[I8, I8], path: I8, frame: I8, measurement: I8, row: I8) -> Paths:
-    """Paths between their ``ends`` (K,) with what is known of some of their rows, the last of it
-    where there is more.
+def _filled(ends: tuple[I8, I8], path: I8, frame: I8, measurement: I8, row: I8) -> Paths:
+    """Paths between their ``ends`` (K,), filled with known rows; of several for one frame the last
+    is used.
     """
     begin, end = ends
     start = np.concatenate(([0], np.cumsum(end - begin + 1)))
     at = start[path] + frame - begin[path]
     frames = np.arange(start[-1]) - np.repeat(start[:-1] - begin, end - begin + 1)
-    rests, comes = np.full((2, start[-1]), -1, np.int64)
-    rests[at] = measurement
-    comes[at] = row
-    return Paths(start, frames, rests, comes)
+    measurements = np.full(start[-1], -1, np.int64)
+    rows = np.full(start[-1], -1, np.int64)
+    measurements[at] = measurement
+    rows[at] = row
+    return Paths(start, frames, measurements, rows)
