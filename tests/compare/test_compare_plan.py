@@ -72,7 +72,7 @@ def test_variants_start_from_the_first_filter_or_from_a_preset(tmp_path: Path) -
             {"sets": ["filter.particles_per_target=5"]},
             "unknown setting of [filter]: particles_per_target",
         ),
-        ({"sets": ["filter.kind=none"]}, "--filters says"),
+        ({"sets": ["filter.kind=none"]}, "--filters already names"),
         ({"sets": ["sensor.detection_probability=7"]}, "sensor.detection_probability"),
         ({"variants": ["few"]}, "--variant few"),
         ({"variants": ["few=filter.particles_per_target=5"]}, "--variant few"),

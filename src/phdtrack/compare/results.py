@@ -30,20 +30,35 @@ from phdtrack.report.record import About
 
 _SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches", "log_evidence", "ms")
 _COUNTS = (
-    "id_switches misses false_positives fragments false_tracks mostly_tracked mostly_lost tracks"
+    "id_switches",
+    "misses",
+    "false_positives",
+    "fragments",
+    "false_tracks",
+    "mostly_tracked",
+    "mostly_lost",
+    "tracks",
+    *SUMS,
 )
-_DIGITS = {"ms": 2, "boxes_per_frame": 2, "log_evidence": 1, "delay_mean": 1} | dict.fromkeys(
-    (*_COUNTS.split(), *SUMS), 1
-)
-# Of these neither more nor less is better, or not between filters.
+# Decimals of scores that have another number than three.
+_DECIMALS = {"ms": 2, "boxes_per_frame": 2, "log_evidence": 1, "delay_mean": 1}
+_DECIMALS |= dict.fromkeys(_COUNTS, 1)
+# Scores of which neither more nor less is better, or not between filters.
 _NEUTRAL = (
-    "frames truth_boxes output_boxes truth_objects output_identities count_error_mean log_evidence"
-    " tracks boxes_per_frame"
+    "frames",
+    "truth_boxes",
+    "output_boxes",
+    "truth_objects",
+    "output_identities",
+    "count_error_mean",
+    "log_evidence",
+    "tracks",
+    "boxes_per_frame",
 )
 
 
 class Table(NamedTuple):
-    """Lines of text under a head: sequence, detections, clutter and filter, then scores."""
+    """Rows of text under a head: sequence, detections, clutter and filter, then scores."""
 
     head: tuple[str, ...]
     rows: Sequence[tuple[str, ...]]
@@ -58,38 +73,38 @@ class Results:
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, comparison: Comparison, wanted: Sequence[str]) -> Results:
-        """With the scores wanted, or the usual ones where there is truth, as far as the comparison
-        has them.
+    def of(cls, comparison: Comparison, scores: Sequence[str]) -> Results:
+        """The results with those of these scores that the comparison has; empty: the usual
+        ones.
         """
         rows = summary(comparison)
         known = {name for row in rows for name in row.scores}
-        names = tuple(
-            name for name in wanted or (_SHOWN if "MOTA" in known else OTHERS) if name in known
-        )
+        if not scores:
+            scores = _SHOWN if "MOTA" in known else OTHERS
+        names = tuple(name for name in scores if name in known)
         return cls(comparison, rows, names or OTHERS)
 
     def errors(self) -> Table:
-        """The numbers of misses and false boxes by cause, where there is truth."""
+        """The numbers of misses and false boxes by cause, for cases with truth."""
         rows = [row for row in self.rows if "MOTA" in row.scores]
         return replace(self, names=SUMS).table(rows)
 
     def table(self, rows: Iterable[Row], *, ahead: bool = False) -> Table:
-        """A line for each row, ``ahead`` with the differences to the first method; cells as in the
-        line before are empty.
+        """One line per row, with differences to the first method if ``ahead``; cells equal to those
+        in the line before are empty.
 
-        A star stands before the best of a score on the same input, and before what is not told
-        apart from it.
+        A star marks the best of a score on the same input, and values not significantly different
+        from it.
         """
         out: list[tuple[str, ...]] = []
         before: tuple[str, ...] = ("", "", "")
         for (sequence, cases, *rest), each in groupby(
             rows, lambda r: (r.sequence, r.cases, r.detections, f"{r.clutter:g}")
         ):
-            own = list(each)
+            group = list(each)
             where = (f"{sequence} ({cases})" if cases > 1 else sequence, *rest)
-            columns = [self._column(own, name, ahead=ahead) for name in self.names]
-            for k, row in enumerate(own):
+            columns = [self._column(group, name, ahead=ahead) for name in self.names]
+            for k, row in enumerate(group):
                 if row.failed:
                     cells = ["failed", *[""] * (len(columns) - 1)]
                 else:
@@ -102,65 +117,53 @@ class Results:
         return Table(("sequence", "detections", "clutter", "filter", *scores), out)
 
     def _column(self, rows: Sequence[Row], name: str, *, ahead: bool) -> list[str]:
-        """A score, or its difference, of each of the rows, which are those of one input."""
+        """A score, or its difference, for each of the rows of one input."""
         values = [row.ahead if ahead else row.scores for row in rows]
         sign = "+" if ahead else ""
-        texts = [f"{each.get(name, UNKNOWN):{sign}.{_DIGITS.get(name, 3)}f}" for each in values]
+        decimals = _DECIMALS.get(name, 3)
+        texts = [f"{each.get(name, UNKNOWN):{sign}.{decimals}f}" for each in values]
+        if ahead or name in _NEUTRAL or len(rows) < 2:
+            return texts
         lower = score_meanings().get(name, "").endswith("; lower is better")
-        best = (
-            ()
-            if ahead or name in _NEUTRAL.split() or len(rows) < 2
-            else leading(rows, name, lower=lower)
-        )
-        # What looks the same is no worse; where all are best none is.
-        same = {text for text, row in zip(texts, rows, strict=True) if row in best[:1]}
-        stars = [row in best or text in same for text, row in zip(texts, rows, strict=True)]
-        return [
-            "*" * (star and not all(stars)) + text for star, text in zip(stars, texts, strict=True)
-        ]
+        best = leading(rows, name, lower=lower)
+        # Equal texts get equal stars. If all are best, none gets one.
+        best_texts = {text for text, row in zip(texts, rows, strict=True) if row in best[:1]}
+        stars = [row in best or text in best_texts for text, row in zip(texts, rows, strict=True)]
+        if all(stars):
+            return texts
+        return [f"*{text}" if star else text for star, text in zip(stars, texts, strict=True)]
 
     def write_cells(self, path: Path) -> None:
-        """One line for each row: every score's mean, half its interval, the difference to the first
-        method.
+        """Write one line per row: the mean and half the interval of every score, and of its
+        difference to the first method.
         """
         names = [
             name for name in (*SCORES, *OTHERS) if any(name in row.scores for row in self.rows)
         ]
         head = ["sequence", "detections", "cases", "clutter", "filter", "seeds", "failed"]
-        table = [
-            [
-                *head,
-                *(
-                    f"{name}{part}"
-                    for name in names
-                    for part in ("", "_half", "_ahead", "_ahead_half")
-                ),
-            ]
-        ]
+        for name in names:
+            head += [name, f"{name}_half", f"{name}_ahead", f"{name}_ahead_half"]
+        table = [head]
         for row in self.rows:
             seeds = max((value.seeds for value in row.scores.values()), default=0)
-            where = (
+            line = [
                 row.sequence,
                 row.detections,
-                row.cases,
+                str(row.cases),
                 f"{row.clutter:g}",
                 row.filter,
-                seeds,
+                str(seeds),
                 row.failed,
-            )
-            intervals = [
-                part.get(name, UNKNOWN) for name in names for part in (row.scores, row.ahead)
             ]
-            table.append(
-                [
-                    *map(str, where),
-                    *(_number(number) for one in intervals for number in (one.mean, one.half)),
-                ]
-            )
+            for name in names:
+                for values in (row.scores, row.ahead):
+                    interval = values.get(name, UNKNOWN)
+                    line += [_number(interval.mean), _number(interval.half)]
+            table.append(line)
         _write(path, table)
 
     def write_runs(self, path: Path) -> None:
-        """One line for each run, and where it is kept."""
+        """Write one line per run, with its scores and its folder."""
         runs = self.comparison.runs
         each = [{} if isinstance(result, Failed) else values_of([result]) for _, result in runs]
         names = [name for name in (*SCORES, *OTHERS) if any(name in values for values in each)]
@@ -168,21 +171,14 @@ class Results:
             ["sequence", "detections", "clutter", "filter", "seed", "failed", *names, "folder"]
         ]
         for (run, result), values in zip(runs, each, strict=True):
-            if isinstance(result, Failed):
-                failed = result.reason
-            else:
-                failed = ""
-            where = (
-                run.case.sequence,
-                run.case.detections,
-                f"{run.rate:g}",
-                run.method.name,
-                str(run.seed),
-                failed,
-            )
             table.append(
                 [
-                    *where,
+                    run.case.sequence,
+                    run.case.detections,
+                    f"{run.rate:g}",
+                    run.method.name,
+                    str(run.seed),
+                    result.reason if isinstance(result, Failed) else "",
                     *(_number(values.get(name, math.nan)) for name in names),
                     run.place.as_posix(),
                 ]
@@ -190,15 +186,15 @@ class Results:
         _write(path, table)
 
     def described(self) -> str:
-        """What was compared, in numbers."""
+        """The numbers of filters, sequences, rates and seeds in a sentence."""
         plan = self.comparison.plan
         return lines(
             "comparison_plan.txt", plan=plan, sequences=len({case.sequence for case in plan.cases})
         )[0]
 
     def sentences(self) -> tuple[str, ...]:
-        """Which method has the highest MOTA over everything, for each rate of clutter, where that
-        is more than chance.
+        """A sentence for each rate of clutter: the method with the highest MOTA over all cases, and
+        those not significantly below.
         """
         out: list[str] = []
         for rate in self.comparison.plan.rates:
@@ -218,9 +214,7 @@ class Results:
         return tuple(out)
 
     def notes(self, *, in_turn: bool) -> tuple[str, ...]:
-        """What a reader should know of the numbers; ``in_turn``: the runs of this time ran one
-        after the other.
-        """
+        """Notes on the numbers; ``in_turn``: the runs of this time ran one after the other."""
         many = len(self.comparison.plan.seeds) > 1
         still = dict.fromkeys(
             row.filter for row in self.rows if many and not row.random and not row.failed
@@ -236,13 +230,13 @@ class Results:
         """The report, with the title, command, warnings and notes of ``about``."""
         plan = self.comparison.plan
         rows = self.rows
-        given = [
+        inputs = [
             {"sequence": case.sequence, "detections": case.detections, "truth": str(case.truth)}
             for case in plan.cases
         ]
         settings = {method.name: method.settings.as_dict() for method in plan.methods}
         more = {
-            "input": given,
+            "input": inputs,
             "clutter": list(plan.rates),
             "seeds": list(plan.seeds),
             "iou": plan.iou,
@@ -264,13 +258,12 @@ class Results:
 
 
 def _number(value: float) -> str:
-    """Empty where it is undefined."""
-    if math.isfinite(value):
-        return f"{value:.9g}"
-    return ""
+    """A number with nine digits; empty if it is undefined."""
+    return f"{value:.9g}" if math.isfinite(value) else ""
 
 
 def _write(path: Path, rows: Sequence[Sequence[str]]) -> None:
+    """Write rows as CSV."""
     file = io.StringIO()
     csv.writer(file, lineterminator="\n").writerows(rows)
     write_text(path, file.getvalue())

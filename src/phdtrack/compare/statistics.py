@@ -1,5 +1,6 @@
-"""A comparison in rows: every case with every method, and every method pooled over the sequences,
-with Student's t intervals over the seeds."""
+"""Statistics of a comparison: every method on each case and pooled over the sequences, with
+Student's t intervals over the seeds.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +20,15 @@ from phdtrack.parallel import Failed
 
 LEVEL = 0.95
 SCORES = (*(entry.name for entry in fields(Scores) if entry.repr), *SUMS)
-# What there is without truth too.
+# Available without truth.
 OTHERS = ("tracks", "boxes_per_frame", "log_evidence", "ms")
 POOLED = "all"
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A mean over so many ``seeds``, and half the width of its 95 % confidence interval; NaN where
-    there is none.
+    """A mean over ``seeds``, and half the width of its 95 % confidence interval; NaN if
+    undefined.
     """
 
     mean: float
@@ -36,54 +37,52 @@ class Interval:
 
     @property
     def clear(self) -> bool:
-        """Whether 0 lies outside."""
+        """True if 0 lies outside the interval."""
         return abs(self.mean) > self.half
 
     def __format__(self, spec: str) -> str:
-        """Both with the digits of ``spec``, as ``0.553 ± 0.018``; a dash where there is no mean."""
-        if math.isfinite(self.half):
-            half = f" ± {self.half:{spec.lstrip('+')}}"
-        else:
-            half = ""
-        if math.isfinite(self.mean):
-            return f"{self.mean:{spec}}{half}"
-        return "–"
+        """Mean and interval with the digits of ``spec``, such as ``0.553 ± 0.018``; a dash without
+        a mean.
+        """
+        if not math.isfinite(self.mean):
+            return "–"
+        if not math.isfinite(self.half):
+            return f"{self.mean:{spec}}"
+        return f"{self.mean:{spec}} ± {self.half:{spec.lstrip('+')}}"
 
 
 UNKNOWN = Interval(math.nan, math.nan, 0)
 
 
 def interval(values: Sequence[float]) -> Interval:
-    """Mean and interval of independent values, t with n − 1 degrees of freedom; undefined (NaN)
-    values make it undefined.
+    """Mean and interval of independent values, by Student's t with n − 1 degrees of freedom; NaN if
+    one of them is NaN.
     """
     count = len(values)
-    if count < 2:
-        if count:
-            return Interval(float(values[0]), math.nan, 1)
+    if count == 0:
         return UNKNOWN
+    if count == 1:
+        return Interval(float(values[0]), math.nan, 1)
     error = float(np.std(values, ddof=1)) / math.sqrt(count)
-    return Interval(
-        float(np.mean(values)), float(stdtrit(count - 1, (1 + LEVEL) / 2)) * error, count
-    )
+    half = float(stdtrit(count - 1, (1 + LEVEL) / 2)) * error
+    return Interval(float(np.mean(values)), half, count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """One method at one rate of clutter, on one case or pooled over several; in JSON by these
-    names.
+    """One method at one rate of clutter, on one case or pooled over several; JSON uses these names.
 
     Attributes
     ----------
-    sequence, detections : of the case; `POOLED` where pooled over more than one.
-    cases : over how many.
+    sequence, detections : of the case; `POOLED` if pooled over several.
+    cases : number of cases.
     clutter, filter : rate of the added clutter in boxes per frame; the method's name.
-    random : whether the seeds matter. Where not, one run was enough and there is no interval.
-    failed : why there are no scores; empty where there are.
+    random : True if the seeds matter; else one run is enough, and there is no interval.
+    failed : why there are no scores; empty if there are.
     scores : means over the seeds with their intervals, by name; ``ms`` is milliseconds per frame.
-    ahead : the same for the differences to the first method, seed by seed; empty for that method
-        itself.
-    each : the scores at every seed, in the order of the seeds.
+    ahead : means and intervals of the differences to the first method, seed by seed; empty for the
+        first method.
+    each : the scores for every seed, in the order of the seeds.
     """
 
     sequence: str
@@ -98,22 +97,22 @@ class Row:
     each: Sequence[Mapping[str, float]] = field(default=(), repr=False)
 
     def differs(self, other: Row, name: str) -> bool:
-        """Whether the two differ in a score by more than chance between seeds, at 95 %; where
-        nothing is random, at all.
+        """Return True if the scores differ significantly over the seeds, at 95 %; if nothing is
+        random, if they differ at all.
 
-        The time ``ms`` is never the same twice: one run of each tells nothing.
+        The time ``ms`` varies between runs, so single runs never differ in it.
         """
-        found = interval(
+        difference = interval(
             [mine[name] - theirs[name] for mine, theirs in zip(self.each, other.each, strict=True)]
         )
         if self.random or other.random:
-            return found.clear
-        return found.mean != 0 and name != "ms"
+            return difference.clear
+        return difference.mean != 0 and name != "ms"
 
 
 def summary(comparison: Comparison) -> tuple[Row, ...]:
-    """Rows of the cases, then those pooled over the sequences of each set of detections, then over
-    everything.
+    """Rows for each case, then pooled over the sequences of each set of detections, then pooled
+    over all cases.
     """
     cases = comparison.plan.cases
     groups: list[tuple[str, str, Sequence[Case]]] = [
@@ -133,14 +132,13 @@ def widest(rows: Sequence[Row]) -> list[Row]:
 
 
 def leading(rows: Sequence[Row], name: str, *, lower: bool) -> list[Row]:
-    """The row with the best mean of a score, and those that do not differ from it by more than
-    chance; the best first.
+    """The row with the best mean of a score, then those that do not differ from it significantly.
 
     Parameters
     ----------
     rows : of one input; those without the score are left out.
     name : of the score.
-    lower : whether less of it is better.
+    lower : True if lower is better.
     """
     known = sorted(
         (row for row in rows if name in row.scores),
@@ -153,47 +151,58 @@ def leading(rows: Sequence[Row], name: str, *, lower: bool) -> list[Row]:
 def _rows(
     comparison: Comparison, sequence: str, detections: str, cases: Sequence[Case]
 ) -> Iterator[Row]:
-    """Every method at every rate on these cases."""
+    """Yield a row for every method at every rate on these cases."""
     plan = comparison.plan
     for rate in plan.rates:
         first: Row | None = None
         for method in plan.methods:
-            found = [
-                [comparison.result(Run(case, rate, method, seed)) for case in cases]
-                for seed in plan.seeds
-            ]
-            random = rate > 0 or any(isinstance(one, RunResult) and one.drawn for one in found[0])
-            failed = next(
-                (one.reason for results in found for one in results if isinstance(one, Failed)), ""
-            )
-            if failed:
-                each = []
-            else:
-                each = [values_of([one for one in r if isinstance(one, RunResult)]) for r in found]
-            pairs = zip(each, first.each if first else (), strict=False)
-            apart = [
-                {name: mine[name] - theirs[name] for name in mine if name in theirs}
-                for mine, theirs in pairs
-            ]
-            parts = (
+            results = list[list[RunResult]]()
+            failed = ""
+            for seed in plan.seeds:
+                results.append([])
+                for case in cases:
+                    result = comparison.result(Run(case, rate, method, seed))
+                    if isinstance(result, Failed):
+                        failed = failed or result.reason
+                    else:
+                        results[-1].append(result)
+            random = rate > 0 or any(result.drawn for result in results[0])
+            each = [] if failed else [values_of(of_seed) for of_seed in results]
+            differences = list[Mapping[str, float]]()
+            if first is not None:
+                for mine, theirs in zip(each, first.each, strict=False):
+                    common = [name for name in mine if name in theirs]
+                    differences.append({name: mine[name] - theirs[name] for name in common})
+            row = Row(
+                sequence,
+                detections,
+                len(cases),
+                rate,
+                method.name,
+                random,
+                failed,
                 _intervals(each, random),
-                _intervals(apart, random or (first is not None and first.random)),
+                _intervals(differences, random or (first is not None and first.random)),
                 each,
             )
-            row = Row(sequence, detections, len(cases), rate, method.name, random, failed, *parts)
             first = first or row
             yield row
 
 
 def _intervals(each: Sequence[Mapping[str, float]], random: bool) -> dict[str, Interval]:
-    """By name, over the seeds where these matter; a score undefined at one of them is left out."""
-    each = each if random else each[:1]
-    names = [name for name in (each[0] if each else {}) if all(name in values for values in each)]
+    """The interval of each score over the seeds, or of the first seed unless ``random``; scores
+    undefined for a seed are left out.
+    """
+    if not each:
+        return {}
+    if not random:
+        each = each[:1]
+    names = [name for name in each[0] if all(name in values for values in each)]
     return {name: interval([values[name] for values in each]) for name in names}
 
 
 def check_scores(names: Sequence[str]) -> tuple[str, ...]:
-    """``names`` of scores as they are written; `InputError` for an unknown one."""
+    """The ``names`` of scores in their usual case. Raises `InputError` for an unknown one."""
     known = {name.lower(): name for name in (*SCORES, *OTHERS)}
     for name in names:
         if name.lower() not in known:
@@ -206,7 +215,7 @@ def check_scores(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def values_of(parts: Sequence[RunResult]) -> dict[str, float]:
-    """The scores of one run, or of several pooled; those that are undefined are left out."""
+    """The scores of one run, or pooled over several; undefined ones are left out."""
     out = dict[str, float]()
     frames = sum(part.frames for part in parts)
     scores = [part.scores for part in parts if part.scores is not None]

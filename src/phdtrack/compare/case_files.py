@@ -1,0 +1,162 @@
+"""The cases in a folder or a video.
+
+A folder has the layout of MOTChallenge: ``seqinfo.ini``, optionally ``gt/gt.txt``, and detections
+in ``det/det.txt`` or, if there are several sets, ``det_NAME/det.txt``. A single video in it, or
+images in ``img1/``, are its pictures. `phdtrack simulate` writes such folders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from phdtrack.compare.plans import Case, Request
+from phdtrack.detect import detector_parameters, make_detector
+from phdtrack.detect.convert import within_frame
+from phdtrack.detect.detectors import working_width
+from phdtrack.errors import InputError
+from phdtrack.formats import find_seqinfo, read_detections, read_truth
+from phdtrack.types import SequenceInfo
+from phdtrack.video import open_source
+
+_VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".webm", ".m4v")
+_DEFAULT_DETECTOR = "change"
+
+
+def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list[Case]:
+    """The cases of a folder or a video; every file is read once to check it.
+
+    Parameters
+    ----------
+    word : the folder or video, as the user wrote it.
+    request : the whole request.
+    parameters : settings of detectors.
+    """
+    path = Path(word)
+    if not path.exists():
+        # Raises an error that names the nearest file.
+        open_source(word)
+        raise InputError("expected a folder or a video file", where=word)
+    name = path.absolute().name if path.is_dir() else path.stem
+    source = word
+    sets = dict[str, Path]()
+    truth = None
+    if request.truth:
+        truth = Path(request.truth.replace("{}", name))
+    if path.is_dir():
+        source = _pictures(path)
+        sets = _detection_sets(path)
+        annotated = path / "gt" / "gt.txt"
+        if truth is None and annotated.is_file():
+            truth = annotated
+    files = [_detection_file(text, name, sets) for text in request.detections]
+    detectors = request.detectors
+    if not request.detections and not detectors:
+        files = list(sets.items())
+        detectors = () if sets else (_DEFAULT_DETECTOR,)
+    if detectors and not source:
+        raise InputError(
+            "there are no pictures for a detector",
+            where=word,
+            cure="Name detections with --detections, or put one video, or images in img1, into the"
+            " folder.",
+        )
+    info = find_seqinfo(word)
+    last = 0 if truth is None else int(read_truth(truth).frame.max(initial=0))
+    decoded = None
+    if source and (detectors or info is None):
+        decoded = open_source(source).info
+    cases = [
+        Case(name, label, _info(word, file, info or decoded, last), truth, source, file)
+        for label, file in files
+    ]
+    if decoded is None or not detectors:
+        return cases
+    sequence = replace(decoded, frames=0, name=name)
+    for detector, settings in detector_settings(detectors, parameters).items():
+        width = working_width(detector, request.max_width, decoded)
+        cases.append(Case(name, detector, sequence, truth, source, None, settings, width))
+    return cases
+
+
+def _pictures(folder: Path) -> str:
+    """The folder of images, or the only video, in a folder; empty if there is none."""
+    images = folder / "img1"
+    if images.is_dir():
+        return str(images)
+    videos = [file for file in folder.iterdir() if file.suffix.lower() in _VIDEOS]
+    return str(videos[0]) if len(videos) == 1 else ""
+
+
+def _detection_sets(folder: Path) -> dict[str, Path]:
+    """The files of detections in a folder, by the names of the sets."""
+    sets = dict[str, Path]()
+    for place in sorted(folder.glob("det*")):
+        file = place / "det.txt"
+        if (place.name == "det" or place.name.startswith("det_")) and file.is_file():
+            sets[place.name.removeprefix("det_")] = file
+    return sets
+
+
+def _detection_file(text: str, sequence: str, sets: Mapping[str, Path]) -> tuple[str, Path]:
+    """Name and file of one of the sequence's sets, or of ``[NAME=]FILE``."""
+    if not is_file(text):
+        if text in sets:
+            return text, sets[text]
+        cure = "Name a file, or use --detectors for a video."
+        if sets:
+            cure = f"There are {', '.join(sets)}."
+        raise InputError(f"there are no detections called {text}", where=sequence, cure=cure)
+    label, equals, pattern = text.partition("=")
+    # An existing file's name may contain the sign.
+    if equals and not Path(text).exists():
+        return label, Path(pattern.replace("{}", sequence))
+    return Path(text).stem.strip("{}") or "file", Path(text.replace("{}", sequence))
+
+
+def is_file(name: str) -> bool:
+    """Return True if ``--detections`` names a file, not a set of a sequence."""
+    return "=" in name or "/" in name or "{}" in name or bool(Path(name).suffix)
+
+
+def _info(word: str, file: Path, known: SequenceInfo | None, last: int) -> SequenceInfo:
+    """Size, rate and length, up to the last frame that is known, detected or annotated."""
+    table = read_detections(file)
+    if known is None:
+        raise InputError(
+            "size and rate of the frames are unknown",
+            where=word,
+            cure="Put a seqinfo.ini with frameRate, imWidth and imHeight under [Sequence] into the"
+            " folder.",
+        )
+    info = replace(known, frames=max(known.frames, table.last, last))
+    if not info.frames:
+        raise InputError(
+            "the number of frames is unknown", where=word, cure="Set seqLength in seqinfo.ini."
+        )
+    within_frame(table, info, file)
+    return info
+
+
+def detector_settings(
+    names: Sequence[str], parameters: Mapping[str, Any]
+) -> dict[str, Mapping[str, Any]]:
+    """The parameters that each detector has, by its name. Raises `InputError` for unknown ones."""
+    out: dict[str, Mapping[str, Any]] = {}
+    for name in names:
+        if name == "file":
+            raise InputError(
+                "file is no detector",
+                where="--detectors",
+                cure="Use --detections for detections in a file.",
+            )
+        known = detector_parameters(name)
+        out[name] = {key: value for key, value in parameters.items() if key in known}
+        make_detector(name, **out[name])
+    used = {key for settings in out.values() for key in settings}
+    if names and parameters.keys() - used:
+        # Raises an error that names the nearest parameter.
+        make_detector(names[0], **parameters)
+    return out
