@@ -18,7 +18,7 @@ def boxes(xyxy: Any, confidence: Any = None, class_id: Any = None) -> SimpleName
     return SimpleNamespace(xyxy=xyxy, confidence=confidence, class_id=class_id)
 
 
-def test_columns() -> None:
+def test_arrays_with_4_to_6_columns() -> None:
     rows = [[0, 1, 10, 20, 0.5, 3], [5, 5, 6, 7, 0.25, 0]]
     for columns in (4, 5, 6):
         found = as_detections([row[:columns] for row in rows])
@@ -28,7 +28,7 @@ def test_columns() -> None:
         assert found.class_id.dtype == np.int64
 
 
-def test_objects() -> None:
+def test_objects_with_attributes() -> None:
     box = np.array([[0, 1, 10, 20]], np.float32)
     assert as_detections(boxes(box)).confidence[0] == 1
     found = as_detections(boxes(box, np.array([0.5]), np.array([2])))
@@ -65,7 +65,7 @@ class Tensor:
 @pytest.mark.parametrize(
     "wrapped", [lambda whole: whole, lambda whole: [whole], lambda whole: (whole,)]
 )
-def test_a_whole_result_of_ultralytics(wrapped: Any) -> None:
+def test_ultralytics_result(wrapped: Any) -> None:
     inner = SimpleNamespace(xyxy=Tensor([[0, 1, 10, 20]]), conf=Tensor([0.5]), cls=Tensor([2.0]))
     found = as_detections(wrapped(SimpleNamespace(boxes=inner, obb=None, names={2: "car"})))
     assert found.xyxy.tolist() == [[0, 1, 10, 20]]
@@ -84,12 +84,12 @@ def test_a_whole_result_of_ultralytics(wrapped: Any) -> None:
         ([-9, -9, 1, 1], ""),
     ],
 )
-def test_boxes_outside_of_the_frame(box: list[float], words: str) -> None:
+def test_boxes_outside_the_frame_are_reported(box: list[float], words: str) -> None:
     assert doubtful(as_detections([[100, 100, 120, 140], box]), (640, 480)).startswith(words)
     assert doubtful(as_detections([[100, 100, 120, 140], box]), (0, 0)) == ""
 
 
-def test_boxes_in_shares_of_the_frame() -> None:
+def test_boxes_in_shares_of_the_frame_are_reported() -> None:
     assert "not in shares of its size" in doubtful(
         as_detections([[0.1, 0.2, 0.3, 0.9]]), (640, 480)
     )
@@ -99,7 +99,7 @@ def test_boxes_in_shares_of_the_frame() -> None:
 @pytest.mark.parametrize(
     "nothing", [[], (), np.zeros((0, 4)), np.zeros((0, 6)), np.zeros(0), boxes(np.zeros((0, 4)))]
 )
-def test_no_boxes(nothing: object) -> None:
+def test_empty_input_gives_no_boxes(nothing: object) -> None:
     assert len(as_detections(nothing)) == 0
 
 
@@ -120,12 +120,12 @@ def test_no_boxes(nothing: object) -> None:
         (boxes([[0, 0, 9, 9]], [1, 1]), r"\.confidence with one value for each of 1"),
     ],
 )
-def test_what_is_refused(bad: object, message: str) -> None:
+def test_invalid_input_is_rejected(bad: object, message: str) -> None:
     with pytest.raises(InputError, match=f"^frame 12: .*{message}"):
         as_detections(bad, where="frame 12")
 
 
-def test_a_covariance_must_fit() -> None:
+def test_covariance_of_wrong_shape_is_rejected() -> None:
     bad = Detections(
         np.array([[0, 0, 1, 1.0]]), np.ones(1), np.zeros(1, np.int64), np.zeros((1, 3, 3))
     )

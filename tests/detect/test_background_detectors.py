@@ -27,7 +27,7 @@ def build(name: str, **parameters: object) -> Detector:
 
 
 @pytest.mark.parametrize("name", BACKGROUND)
-def test_a_moving_square_is_found(name: str) -> None:
+def test_moving_square_is_detected(name: str) -> None:
     scene = Scene(frames=130, speed=2.0, enter=30)
     detector = build(name)
     hits = seen = extra = 0
@@ -47,13 +47,13 @@ def test_a_moving_square_is_found(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BACKGROUND)
-def test_an_empty_scene_stays_empty(name: str) -> None:
+def test_empty_scene_has_no_detections(name: str) -> None:
     detector = build(name)
     assert not any(len(detector(frame)) for frame in Scene(frames=40, squares=0))
 
 
 @pytest.mark.parametrize("name", BACKGROUND)
-def test_another_size_is_an_error_until_reset(name: str) -> None:
+def test_other_frame_size_needs_a_reset(name: str) -> None:
     detector = build(name)
     for frame in Scene(frames=3):
         detector(frame)
@@ -64,13 +64,13 @@ def test_another_size_is_an_error_until_reset(name: str) -> None:
     assert len(detector(other)) == 0
 
 
-def test_flicker_lights_nothing_up() -> None:
+def test_flicker_causes_no_detections() -> None:
     detector = ChangeDetector()
     counts = [len(detector(frame)) for frame in Scene(frames=120, squares=0, flicker=0.1)]
     assert sum(counts[5:]) == 0
 
 
-def test_a_shadow_is_tolerated_where_an_object_is_not() -> None:
+def test_shadow_is_ignored_but_object_is_detected() -> None:
     scene = Scene(frames=40, squares=0)
     *learned, last = scene
     for factor, expected in ((0.85, 0), (0.3, 1)):
@@ -97,7 +97,7 @@ def with_object(image: Image, left: int) -> Image:
     return out
 
 
-def test_an_object_that_stops_stays_for_a_while_and_then_belongs_to_the_scene() -> None:
+def test_stopped_object_is_absorbed_after_a_while() -> None:
     background = Scene().background()
     detector = make_detector("change", learn=1.0, adapt_objects=20.0)
     for frame in still(background, 10, fps=5):
@@ -107,7 +107,7 @@ def test_an_object_that_stops_stays_for_a_while_and_then_belongs_to_the_scene() 
     assert not any(counts[-20:])
 
 
-def test_where_an_object_stood_from_the_start_no_ghost_remains() -> None:
+def test_object_that_leaves_causes_no_ghost() -> None:
     background = Scene().background()
     detector = make_detector("change", learn=1.0)
     for frame in still(with_object(background, 70), 60):
@@ -116,7 +116,7 @@ def test_where_an_object_stood_from_the_start_no_ghost_remains() -> None:
     assert sum(counts) == 0
 
 
-def test_the_signed_form_sees_only_the_dark() -> None:
+def test_signed_difference_detects_only_darker_objects() -> None:
     image = np.full((120, 160, 3), 128, np.uint8)
     both = image.copy()
     both[20:60, 20:50] = 20
@@ -132,7 +132,7 @@ def test_the_signed_form_sees_only_the_dark() -> None:
 
 
 @pytest.mark.data
-def test_people_of_pets_are_found(data) -> None:  # type: ignore[no-untyped-def]
+def test_people_in_pets_are_detected(data) -> None:  # type: ignore[no-untyped-def]
     from phdtrack.video import open_source
 
     folder = data / "mot15" / "PETS09-S2L1"
@@ -155,7 +155,7 @@ def test_people_of_pets_are_found(data) -> None:  # type: ignore[no-untyped-def]
     assert matched / found > 0.75
 
 
-def test_what_flies_past_once_leaves_no_ghost(rng: np.random.Generator) -> None:
+def test_brief_object_leaves_no_ghost(rng: np.random.Generator) -> None:
     """A smooth blot hides the edges behind it, as a ghost does; learned at once it would be
     reported ever after.
     """
@@ -176,7 +176,7 @@ def test_what_flies_past_once_leaves_no_ghost(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("name", ["change", "mean-background"])
-def test_what_it_has_learned_goes_on_in_another_one(rng: np.random.Generator, name: str) -> None:
+def test_restored_detector_continues_identically(rng: np.random.Generator, name: str) -> None:
     images = rng.integers(80, 90, (80, 60, 80, 3), dtype=np.uint8)
     for k, image in enumerate(images):
         image[20:40, k % 60 : k % 60 + 12] = 200

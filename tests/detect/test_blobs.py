@@ -34,7 +34,7 @@ rectangles = st.lists(corner, max_size=8)
     st.sampled_from([0.0, 0.1, 0.5]),
     st.sampled_from([0.0, 0.002, 0.01]),
 )
-def test_any_mask_gives_valid_boxes_within_the_frame(
+def test_any_mask_gives_valid_boxes(
     drawn: list[tuple[int, int, int, int]], seed: int, salt: float, peel: float
 ) -> None:
     mask = mask_of(*drawn)
@@ -48,12 +48,12 @@ def test_any_mask_gives_valid_boxes_within_the_frame(
 
 
 @pytest.mark.parametrize("peel", [0.0, 0.002, 0.01])
-def test_one_rectangle_gives_its_box(peel: float) -> None:
+def test_rectangle_gives_its_box(peel: float) -> None:
     found = BlobSettings(peel=peel).detections(mask_of((40, 30, 64, 90)))
     np.testing.assert_allclose(found.xyxy, [[40, 30, 64, 90]], atol=1)
 
 
-def test_specks_and_bridges_go_and_gaps_close() -> None:
+def test_specks_and_bridges_are_removed_and_gaps_closed() -> None:
     assert len(BlobSettings().detections(mask_of((10, 10, 12, 12), (90, 90, 93, 92)))) == 0
     bridged = mask_of((20, 20, 40, 60), (60, 20, 80, 60), (40, 39, 60, 41))
     assert len(BlobSettings(split=0).detections(bridged)) == 2
@@ -61,7 +61,7 @@ def test_specks_and_bridges_go_and_gaps_close() -> None:
     assert len(BlobSettings(join=0).detections(gap)) == 1
 
 
-def test_three_in_a_row_are_parted_and_a_wide_thing_is_not() -> None:
+def test_three_neighbours_are_split_but_a_wide_object_is_not() -> None:
     mask = np.zeros(SHAPE, np.uint8)
     for x in (40, 62, 84):
         cv2.ellipse(mask, (x, 70), (13, 40), 0, 0, 360, 255, -1)
@@ -70,7 +70,7 @@ def test_three_in_a_row_are_parted_and_a_wide_thing_is_not() -> None:
     assert len(BlobSettings().detections(mask_of((30, 60, 130, 100)))) == 1
 
 
-def test_one_behind_the_other_is_not_joined() -> None:
+def test_object_behind_another_is_not_joined() -> None:
     fragments = mask_of((60, 20, 92, 60), (60, 68, 92, 110))
     assert len(BlobSettings(join=0.15).detections(fragments)) == 1
     slender = mask_of((60, 10, 76, 66), (60, 74, 76, 134))
@@ -90,7 +90,7 @@ def boxes_on_the_ground(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.stack([left, foot - height, left + 20, foot], axis=1)
 
 
-def test_components_teach_how_high_objects_are_where(rng: np.random.Generator) -> None:
+def test_heights_are_learned_from_components(rng: np.random.Generator) -> None:
     shape = (400, 1000)
     found = [boxes_on_the_ground(rng, 20) for _ in range(5)]
     usual = Heights.learned(found, shape)
@@ -108,7 +108,7 @@ def test_components_teach_how_high_objects_are_where(rng: np.random.Generator) -
     assert Heights.learned(anything, shape) is None
 
 
-def test_two_that_stand_one_behind_the_other_are_not_one_where_heights_are_known() -> None:
+def test_known_heights_prevent_joining_two_objects() -> None:
     contours = BlobSettings().components(mask_of((60, 20, 92, 60), (60, 68, 92, 110)))
     assert len(BlobSettings().boxes(contours, (144, 192))) == 1
     assert len(BlobSettings().boxes(contours, (144, 192), Heights(np.log(90.0), 0.0))) == 1

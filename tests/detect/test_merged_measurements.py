@@ -49,7 +49,7 @@ boxes = st.lists(
 )
 
 
-def test_one_blob_of_two_targets_becomes_a_detection_of_each_size_at_its_edges() -> None:
+def test_merged_box_is_divided_by_its_edges() -> None:
     _, found = explain(expected(PAIR), BLOB)
     assert found.changed
     assert len(found.detections) == 2
@@ -62,7 +62,7 @@ def test_one_blob_of_two_targets_becomes_a_detection_of_each_size_at_its_edges()
     assert (found.detections.xyxy[:, 3] <= 205).all()
 
 
-def test_two_blobs_of_two_targets_stay_as_they_are() -> None:
+def test_separate_boxes_are_unchanged() -> None:
     _, found = explain(expected(PAIR), PAIR + 1.0)
     assert not found.changed
     np.testing.assert_array_equal(found.detections.xyxy, PAIR + 1.0)
@@ -75,14 +75,14 @@ def test_two_blobs_of_two_targets_stay_as_they_are() -> None:
         (MergedMeasurements(min_separate_time=0.4), {"separate": np.array([9.0, 0.3])}),
     ],
 )
-def test_a_blob_is_not_divided_where_the_settings_say_so(
+def test_zero_merge_probability_divides_no_box(
     rule: MergedMeasurements, given: dict[str, F8]
 ) -> None:
     _, found = explain(expected(PAIR, **given), BLOB, rule)
     assert not found.changed
 
 
-def test_a_target_hides_no_longer_than_the_longest_time() -> None:
+def test_target_stays_hidden_for_max_hidden_time() -> None:
     inside = np.array([[100.0, 100, 160, 200], [110, 100, 140, 200]])
     blob = inside[:1]
     before, found = explain(expected(inside), blob)
@@ -94,7 +94,7 @@ def test_a_target_hides_no_longer_than_the_longest_time() -> None:
 
 @settings(deadline=None, max_examples=150)
 @given(boxes, boxes)
-def test_every_blob_is_used_and_order_does_not_matter(targets: F8, blobs: F8) -> None:
+def test_every_box_is_used_in_any_order(targets: F8, blobs: F8) -> None:
     state = expected(targets)
     _, found = explain(state, blobs)
     # Every blob went somewhere, and every detection rests on a blob.
@@ -113,7 +113,7 @@ def test_every_blob_is_used_and_order_does_not_matter(targets: F8, blobs: F8) ->
     assert sorted(mine) == sorted(theirs)
 
 
-def test_blobs_of_raw_detections_are_not_explained() -> None:
+def test_raw_detections_are_not_divided() -> None:
     with pytest.raises(InputError, match="does not fit"):
         config.load(None, ("filter.kind=none", "merged_measurements.kind=explained"))
 
@@ -157,9 +157,7 @@ def tracked(case: Case, filter_name: str, kind: str) -> Tracks:
 
 
 @pytest.mark.parametrize(("filter_name", "partings"), [("pmb", PARTINGS), ("gm-phd", PARTINGS[1:])])
-def test_two_leave_a_shared_blob_with_their_identities(
-    filter_name: str, partings: tuple[str, ...]
-) -> None:
+def test_identities_survive_a_merged_box(filter_name: str, partings: tuple[str, ...]) -> None:
     right = {"none": 0, "explained": 0}
     for parting in partings:
         for seed in SEEDS:
@@ -171,7 +169,7 @@ def test_two_leave_a_shared_blob_with_their_identities(
     assert right["explained"] >= pairs // 2
 
 
-def test_rows_rest_on_the_blob_that_they_share() -> None:
+def test_rows_refer_to_the_merged_detection() -> None:
     case = merging("turning back", 0)
     corrected = tracked(case, "gm-phd", "explained")
     count = np.array([len(case.table.at(int(number))) for number in corrected.frame])
@@ -193,7 +191,7 @@ def test_rows_rest_on_the_blob_that_they_share() -> None:
         ("change", ("motion.kind=plane",), "none"),
     ],
 )
-def test_blobs_are_explained_where_a_background_model_finds_them(
+def test_background_detectors_use_merged_measurements(
     detector: str, sets: tuple[str, ...], kind: str
 ) -> None:
     assert (

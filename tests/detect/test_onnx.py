@@ -44,9 +44,7 @@ def found_by(
 
 
 @pytest.mark.parametrize("layout", networks.LAYOUTS)
-def test_each_layout_is_recognised_and_gives_the_boxes_to_a_pixel(
-    layout: str, tmp_path: Path
-) -> None:
+def test_each_layout_gives_boxes_to_a_pixel(layout: str, tmp_path: Path) -> None:
     kind = "uint8" if layout == "tensorflow" else "float"
     metadata = THREE if layout == "queries" else {}
     path = networks.write(
@@ -84,7 +82,7 @@ def free(tmp_path_factory: pytest.TempPathFactory) -> OnnxDetector:
 
 
 @given(data=st.data(), width=st.integers(17, 400), height=st.integers(17, 400))
-def test_the_padding_is_undone_for_pictures_of_any_size(
+def test_padding_is_undone_for_any_frame_size(
     data: st.DataObject, width: int, height: int, fixed: OnnxDetector, free: OnnxDetector
 ) -> None:
     sides = [
@@ -111,7 +109,7 @@ def test_the_padding_is_undone_for_pictures_of_any_size(
         assert (found.xyxy <= [width, height, width, height]).all()
 
 
-def test_a_free_input_has_no_more_grey_than_the_stride_asks_for(free: OnnxDetector) -> None:
+def test_free_input_size_is_padded_to_the_stride(free: OnnxDetector) -> None:
     placed = free.letterbox(networks.scene(400, 200, {}).image)
     assert (placed.size.tolist(), placed.tensor.shape) == ([192.0, 96.0], (3, 96, 192))
     assert free.letterbox(networks.scene(101, 400, {}).image).size.tolist() == [64.0, 192.0]
@@ -120,7 +118,7 @@ def test_a_free_input_has_no_more_grey_than_the_stride_asks_for(free: OnnxDetect
 @pytest.mark.parametrize(
     ("kind", "layout"), [("float16", "yolov8"), ("float16", "rfdetr"), ("uint8", "yolov5")]
 )
-def test_other_types_give_the_same(kind: str, layout: str, tmp_path: Path) -> None:
+def test_other_number_types_give_the_same_boxes(kind: str, layout: str, tmp_path: Path) -> None:
     outputs = "float16" if kind == "float16" else ""
     plain = networks.write(tmp_path / "plain.onnx", layout)
     other = networks.write(tmp_path / "other.onnx", layout, kind=kind, outputs=outputs)
@@ -131,7 +129,7 @@ def test_other_types_give_the_same(kind: str, layout: str, tmp_path: Path) -> No
         np.testing.assert_allclose(one, two, atol=least)
 
 
-def test_overlapping_boxes_are_removed_within_a_class_where_the_network_leaves_them(
+def test_overlapping_boxes_of_a_class_are_suppressed(
     tmp_path: Path,
 ) -> None:
     path = networks.write(tmp_path / "net.onnx", "yolov5")
@@ -150,9 +148,7 @@ def test_overlapping_boxes_are_removed_within_a_class_where_the_network_leaves_t
 @pytest.mark.parametrize(
     "shape", [("N", 3, 96, 128), (1, 3, 96, 128), (4, 3, 96, 128), ("N", 3, "H", "W")]
 )
-def test_frames_looked_at_together_give_what_each_gives_alone(
-    shape: tuple[object, ...], tmp_path: Path
-) -> None:
+def test_batches_give_the_same_as_single_frames(shape: tuple[object, ...], tmp_path: Path) -> None:
     path = networks.write(tmp_path / "net.onnx", "yolov8", shape)
     frames = [
         networks.scene(200, 120, {k % 3: (5 * k, 20, 5 * k + 40, 90)}, k + 1) for k in range(7)
@@ -169,7 +165,7 @@ def test_frames_looked_at_together_give_what_each_gives_alone(
         np.testing.assert_array_equal(one.confidence, other.confidence)
 
 
-def test_frames_before_an_error_are_looked_at(
+def test_frames_before_an_error_are_detected(
     fixed: OnnxDetector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fixed, "batch", 4)
@@ -184,7 +180,7 @@ def test_frames_before_an_error_are_looked_at(
     assert seen == [1, 2, 3, 4, 5, 6]
 
 
-def test_classes_by_name_or_number(tmp_path: Path) -> None:
+def test_classes_are_chosen_by_name_or_number(tmp_path: Path) -> None:
     path = networks.write(tmp_path / "net.onnx", metadata=THREE)
     frame = networks.scene(200, 120, BOXES)
     assert class_names(make_detector(f"onnx:{path}", max_width=100)) == {
@@ -280,7 +276,7 @@ def constant(
         ),
     ],
 )
-def test_shapes_and_metadata_say_what_the_outputs_are(
+def test_layout_follows_from_shapes_and_metadata(
     shapes: dict[str, tuple[int, ...]],
     metadata: dict[str, str],
     more: dict[str, str],
@@ -311,7 +307,7 @@ def test_shapes_and_metadata_say_what_the_outputs_are(
         ({"a": (1, 9, 84)}, {"names": "['x', 'y', 'z', 'u']", "task": "obb"}),
     ],
 )
-def test_what_is_not_recognised_is_shown_and_what_is_understood(
+def test_unknown_outputs_are_listed_with_supported_ones(
     shapes: Shapes, metadata: dict[str, str], tmp_path: Path
 ) -> None:
     path = constant(tmp_path / "net.onnx", metadata, float(metadata.get("value", 0)), **shapes)
@@ -325,9 +321,7 @@ def test_what_is_not_recognised_is_shown_and_what_is_understood(
         assert f"{name} float32 {shape}" in str(error.value)
 
 
-def test_what_is_no_network_for_pictures_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_invalid_networks_are_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = networks.write(tmp_path / "net.onnx")
     (tmp_path / "cut.onnx").write_bytes(whole.read_bytes()[:-300])
     (tmp_path / "text.onnx").write_text("no network")
@@ -380,7 +374,7 @@ def test_what_is_no_network_for_pictures_is_refused(
         make_detector("onnx:net.onnx")
 
 
-def test_pixels_as_the_network_was_trained(tmp_path: Path) -> None:
+def test_pixels_are_scaled_as_in_training(tmp_path: Path) -> None:
     """Blue before red, stretched, and the mean of ImageNet: what is asked for is what goes in."""
     path = networks.write(tmp_path / "net.onnx", metadata=THREE)
     frame = networks.scene(200, 120, {0: (20, 30, 60, 80)})

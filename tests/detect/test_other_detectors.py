@@ -46,14 +46,14 @@ def person_like() -> Frame:
     return Frame(1, 0.0, cv2.GaussianBlur(image, (5, 5), 0))
 
 
-def test_a_figure_is_taken_for_a_person() -> None:
+def test_figure_is_detected_as_person() -> None:
     found = make_detector("person", scale=1.0, threshold=0.0)(person_like())
     assert len(found) > 0
     assert iou(found.xyxy[:1], np.array([[125.0, 66, 175, 246]]))[0, 0] > 0.5
     assert (np.diff(found.confidence) <= 0).all()
 
 
-def test_a_face_is_found_and_scaled_back() -> None:
+def test_face_is_detected_in_original_pixels() -> None:
     # The plainest face a cascade accepts: bright oval, dark eyes, brows and mouth.
     image = np.full((200, 200, 3), 90, np.uint8)
     cv2.ellipse(image, (100, 100), (46, 60), 0, 0, 360, (190, 190, 190), -1)
@@ -72,12 +72,12 @@ def test_a_face_is_found_and_scaled_back() -> None:
         assert iou(found.xyxy, np.array([[52.0, 50, 148, 150]])).max() > 0.5
 
 
-def test_an_unknown_cascade_lists_those_there_are() -> None:
+def test_unknown_cascade_lists_available_ones() -> None:
     with pytest.raises(InputError, match=r"no cascade 'nose'.*frontalface_alt2"):
         make_detector("face", cascade="nose")
 
 
-def test_an_opencv_without_cascades_says_how_to_mend_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_opencv_without_cascades_shows_the_repair(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(cv2, "CascadeClassifier")
     monkeypatch.delattr(cv2, "HOGDescriptor")
     for name in ("face", "person"):
@@ -85,7 +85,7 @@ def test_an_opencv_without_cascades_says_how_to_mend_it(monkeypatch: pytest.Monk
             make_detector(name)
 
 
-def test_a_smaller_picture_is_searched_and_boxes_come_back_in_full_size() -> None:
+def test_shrunk_frame_gives_boxes_in_original_pixels() -> None:
     inner = Seen([[0, 0, 30, 10]])
     detector = Rescaled(inner, 100)
     np.testing.assert_allclose(detector(blank(200, 400)).xyxy, [[0, 0, 120, 40]])
@@ -95,7 +95,7 @@ def test_a_smaller_picture_is_searched_and_boxes_come_back_in_full_size() -> Non
         make_detector("change", max_width=-3)
 
 
-def test_a_region_of_interest(tmp_path: Path) -> None:
+def test_mask_keeps_boxes_inside_the_region(tmp_path: Path) -> None:
     mask = np.zeros((120, 160), np.uint8)
     mask[:, :80] = 255
     boxes = [
@@ -123,7 +123,7 @@ def test_a_region_of_interest(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", DETECTORS)
-def test_every_name_makes_a_detector_and_every_parameter_is_taken(name: str) -> None:
+def test_every_detector_accepts_its_parameters(name: str) -> None:
     defaults = detector_parameters(name)
     assert make_detector(name, **defaults) is not None
     assert ("min_area" in defaults) == (name not in ("face", "person"))
@@ -148,7 +148,7 @@ def test_every_name_makes_a_detector_and_every_parameter_is_taken(name: str) -> 
         ("person", {"scale": True}, "scale: expected a number, got True"),
     ],
 )
-def test_what_is_wrong_is_named(name: str, parameters: dict[str, object], message: str) -> None:
+def test_wrong_parameters_are_named(name: str, parameters: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         make_detector(name, **parameters)  # type: ignore[arg-type]
 
@@ -163,7 +163,7 @@ def test_what_is_wrong_is_named(name: str, parameters: dict[str, object], messag
         ((768, 576), 0),
     ],
 )
-def test_the_working_width_is_chosen_from_the_video(size: tuple[int, int], width: int) -> None:
+def test_working_width_follows_from_the_video(size: tuple[int, int], width: int) -> None:
     info = SequenceInfo(*size, 25.0)
     assert [working_width(name, None, info) for name in ("change", "mog2", "person")] == [
         width,

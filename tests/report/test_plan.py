@@ -53,7 +53,7 @@ def test_metres_are_square_and_y_goes_up() -> None:
     assert wide.pixels(np.array([[50.0], [0.5]])) == pytest.approx(np.array([[360.0], [200.0]]))
 
 
-def test_people_have_their_colours_and_groups_an_outline() -> None:
+def test_people_are_coloured_and_groups_outlined() -> None:
     """Two in a group are dots in their own colours with one line around both; one alone has no line
     around.
     """
@@ -87,7 +87,7 @@ def test_the_field_of_view_and_edges_lie_behind() -> None:
     assert colour_at(image, 8.0, 6.3) == pytest.approx([80, 120, 150], abs=30)
 
 
-def test_detections_and_warnings_are_drawn_where_they_have_a_place() -> None:
+def test_detections_and_warnings_with_a_place_are_drawn() -> None:
     warnings = tuple(
         Encounter(first, second, 1.5, 0.5, 0.1, (0.0, 0.0), 0.9)
         for first, second in ((1, 2), (1, 7))
@@ -99,7 +99,7 @@ def test_detections_and_warnings_are_drawn_where_they_have_a_place() -> None:
     assert colour_at(image, *quarter) == pytest.approx([60, 60, 208], abs=40)
 
 
-def test_the_extent_leaves_out_what_is_far_from_everything() -> None:
+def test_extent_ignores_remote_outliers() -> None:
     rng = np.random.default_rng(0)
     places = np.hstack([rng.uniform(-20, 20, (2, 500)), [[900.0, np.nan], [900.0, 1.0]]])
     left, low, right, high = extent_of(places)

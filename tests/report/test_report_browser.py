@@ -27,9 +27,7 @@ def opened(browser, source: str, width: int, scheme: str):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
-def test_charts_are_as_light_or_dark_as_the_page_and_can_be_read(
-    browser, width: int, scheme: str
-) -> None:
+def test_charts_follow_light_and_dark_mode(browser, width: int, scheme: str) -> None:
     page = opened(browser, report_html(run_record(20, 3), {}), width, scheme)
     for chart in page.locator(".chart").all():
         seen = cv2.imdecode(np.frombuffer(chart.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
@@ -54,7 +52,7 @@ def test_many_lifetimes_are_folded(browser, width: int) -> None:
         page.close()
 
 
-def test_a_long_table_shows_its_first_rows_and_the_others_at_a_click(browser) -> None:
+def test_long_table_unfolds_on_a_click(browser) -> None:
     rows = [(f"row {k}", "word " * 40) for k in range(40)]
     table = (
         "{% import 'macros.html' as m %}{% call m.section('Long') %}{{ m.table(('a', 'b'), rows)"

@@ -48,7 +48,7 @@ def left_edge(image: np.ndarray) -> np.ndarray:
     return coloured(image)[82:199, 100]
 
 
-def test_a_seen_box_is_closed_and_a_predicted_one_dashed() -> None:
+def test_detected_box_is_solid_and_predicted_box_dashed() -> None:
     seen = left_edge(annotate(GREY, 1, rows(BOX), Detections.empty()))
     predicted = left_edge(annotate(GREY, 1, rows(BOX, seen=False), Detections.empty()))
     assert seen.all()
@@ -56,14 +56,14 @@ def test_a_seen_box_is_closed_and_a_predicted_one_dashed() -> None:
     assert (np.diff(predicted.astype(int)) == 1).sum() >= 3
 
 
-def test_an_unconfirmed_box_is_faint_and_has_no_label() -> None:
+def test_unconfirmed_box_is_faint_and_unlabelled() -> None:
     faint = annotate(GREY, 1, rows(BOX, confirmed=False), Detections.empty())
     assert not coloured(faint).any()
     assert (faint[82:199, 100] != 90).any(axis=1).all()
     assert (faint[60:78, 100:130] == 90).all()
 
 
-def test_a_false_alarm_is_crossed_out() -> None:
+def test_false_alarm_is_crossed_out() -> None:
     found = Detections.of([BOX])
     believed = annotate(GREY, 1, Tracks.empty(), found, clutter_probability=np.array([0.2]))
     doubted = annotate(GREY, 1, Tracks.empty(), found, clutter_probability=np.array([0.9]))
@@ -112,7 +112,7 @@ def test_any_box_on_any_frame_draws_without_error(
     assert not image.any()
 
 
-def test_only_what_is_drawn_again_is_kept() -> None:
+def test_only_recurring_labels_are_cached() -> None:
     """A header is of one frame: kept, those of a long video took tens of MB."""
     annotator = Annotator(SequenceInfo(320, 240, 25.0))
     before = cached_plate.cache_info().currsize
@@ -121,7 +121,7 @@ def test_only_what_is_drawn_again_is_kept() -> None:
     assert cached_plate.cache_info().currsize <= before + 1
 
 
-def test_pictures_and_probabilities_that_do_not_fit_are_refused() -> None:
+def test_mismatching_pictures_are_rejected() -> None:
     with pytest.raises(InputError, match=r"frame 7.*BGR"):
         annotate(np.zeros((4, 4), np.uint8), 7, Tracks.empty(), Detections.empty())
     with pytest.raises(InputError, match="uint8"):
@@ -146,7 +146,7 @@ MACHADO = {
 
 
 @pytest.mark.parametrize("sight", sorted(MACHADO))
-def test_neighbouring_identities_differ_for_every_sight(sight: str) -> None:
+def test_consecutive_colours_differ_for_the_colour_blind(sight: str) -> None:
     share = np.array(COLOURS) / 255
     linear = (
         np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
@@ -159,7 +159,7 @@ def test_neighbouring_identities_differ_for_every_sight(sight: str) -> None:
 
 
 @pytest.mark.parametrize("size", [(240, 320), (42, 66)])
-def test_what_is_drawn_on_planes_is_what_is_drawn_on_bgr(size: tuple[int, int]) -> None:
+def test_drawing_on_planes_equals_drawing_on_bgr(size: tuple[int, int]) -> None:
     """Brightness and colours of the result differ by rounding, and by four pixels sharing their
     colours.
     """

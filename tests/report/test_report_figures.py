@@ -31,7 +31,7 @@ def drawn(picture: Picture) -> str:
     return text
 
 
-def test_the_count_chart_draws_truth_only_where_there_is_one() -> None:
+def test_count_chart_draws_truth_only_if_there_is_one() -> None:
     with_truth = drawn(count_chart(run_record()))
     without = drawn(count_chart(run_record(truth=False)))
     banded = drawn(count_chart(run_record(cardinality=(0.1, 0.2, 0.6, 0.1))))
@@ -43,7 +43,7 @@ def test_the_count_chart_draws_truth_only_where_there_is_one() -> None:
         assert colour in without
 
 
-def test_a_lifetime_has_a_bar_for_each_stretch() -> None:
+def test_lifetime_has_a_bar_for_each_segment() -> None:
     record = run_record(
         12, 1, truth=False
     )  # every third frame predicted: 4 stretches seen, 4 predicted
@@ -52,7 +52,7 @@ def test_a_lifetime_has_a_bar_for_each_stretch() -> None:
     assert svg.count("stroke: #ff9f1c") == 8
 
 
-def test_thousands_of_bars_and_points_become_pixels() -> None:
+def test_thousands_of_points_are_rasterised() -> None:
     n = 4000
     each = np.arange(1, n + 1)
     many = Tracks(
@@ -76,7 +76,7 @@ def test_thousands_of_bars_and_points_become_pixels() -> None:
         assert len(picture.data) < 300_000
 
 
-def test_matplotlib_is_left_as_it_was() -> None:
+def test_matplotlib_settings_are_unchanged() -> None:
     before = list(dict.items(matplotlib.rcParams))
     report_html(run_record(5), {})
     assert list(dict.items(matplotlib.rcParams)) == before

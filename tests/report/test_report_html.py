@@ -70,7 +70,7 @@ def offline(source: str) -> None:
     )
 
 
-def test_a_report_is_one_offline_file_with_every_part() -> None:
+def test_report_is_one_offline_file_with_every_part() -> None:
     about = About(
         title="Walk",
         command="phdtrack track walk.mp4",
@@ -109,7 +109,7 @@ def test_a_report_is_one_offline_file_with_every_part() -> None:
     assert re.search(r"id_switches\s*3\D", words)
 
 
-def test_whatever_comes_from_outside_is_escaped() -> None:
+def test_text_from_outside_is_escaped() -> None:
     pairs = ((EVIL, 0.5),)
     about = About(EVIL, EVIL, 0, EVIL, 0.0, ((EVIL, EVIL),), pairs, (EVIL,), (EVIL,))
     record = run_record(3, 1, about=about, info=SequenceInfo(40, 30, 5.0, name=EVIL))
@@ -145,7 +145,7 @@ sizes = st.integers(1, 3000)
     st.booleans(),
     st.booleans(),
 )
-def test_a_report_of_any_run_is_well_formed(
+def test_report_of_any_run_is_well_formed(
     frames: int, objects: int, wide: int, high: int, fps: float, video: bool, truth: bool
 ) -> None:
     info = SequenceInfo(wide, high, fps)
@@ -155,7 +155,7 @@ def test_a_report_of_any_run_is_well_formed(
     assert ("There were no detections." in source) == (objects == 0 < frames)
 
 
-def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
+def test_filter_without_mass_has_a_report() -> None:
     record = run_record(4, 1)
     record.mass[:] = np.nan
     record.clutter_mass[:] = np.nan
@@ -166,14 +166,14 @@ def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
     assert "nan" not in re.sub(r'src="[^"]*"', "", source)
 
 
-def test_the_evidence_has_a_chart_where_there_is_any() -> None:
+def test_evidence_has_a_chart_if_there_is_any() -> None:
     record = run_record(4, 1)
     assert "log evidence" not in report_html(record, {})
     record.log_evidence[:] = [-3, -2, np.nan, -1]
     assert "log evidence of each frame, -2.0 on average" in report_html(record, {})
 
 
-def test_every_score_says_what_it_means() -> None:
+def test_every_score_has_a_meaning() -> None:
     nobody = Truth(
         np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.bool_)
     )
@@ -234,7 +234,7 @@ def worse(truth: Truth) -> dict[str, Tracks]:
     return out
 
 
-def test_every_score_gets_worse_that_way() -> None:
+def test_stated_direction_of_every_score_is_right() -> None:
     truth = walkers()
     best = evaluate(truth, tracks(truth.frame, truth.identity, truth.xyxy)).as_dict()
     found = [evaluate(truth, each).as_dict() for each in worse(truth).values()]

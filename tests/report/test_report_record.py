@@ -17,7 +17,7 @@ INFO = SequenceInfo(WIDE, HIGH, 10.0)
 NOTHING = np.zeros((0, 4))
 
 
-def test_numbers_of_every_frame_arrive_where_they_belong() -> None:
+def test_record_has_the_numbers_of_every_frame() -> None:
     frame = np.array([1, 1, 2, 7])
     truth = Truth(
         frame, np.array([1, 2, 1, 1]), np.ones((4, 4)), np.array([False, True, False, False])
@@ -35,7 +35,7 @@ def test_numbers_of_every_frame_arrive_where_they_belong() -> None:
     np.testing.assert_array_equal(record.truth_count, [1, 1, 0, 0, 0])  # distractors do not count
 
 
-def test_the_range_of_the_number_is_kept_where_the_filter_has_a_distribution() -> None:
+def test_count_range_is_kept_if_there_is_a_distribution() -> None:
     recorder = Recorder(INFO)
     for number, held in enumerate(
         [(0.04, 0.02, 0.5, 0.4, 0.03, 0.01), (), (1.0,), (0.0, 0.0, 1.0)], start=1
@@ -60,7 +60,7 @@ def test_pictures_are_scaled_down_copies() -> None:
         assert (record.background == 80).all()
 
 
-def test_the_picture_is_from_the_second_half() -> None:
+def test_picture_is_from_the_second_half() -> None:
     recorder = Recorder(INFO)
     for number in range(1, 8):
         recorder.add(
@@ -83,16 +83,14 @@ def test_memory_does_not_grow_with_the_pictures() -> None:
     assert held < 160 * 120 * 3 + 1500 * 1000
 
 
-def test_frames_that_compiled_are_no_measure_of_the_speed():
+def test_compiling_frames_do_not_count_for_speed():
     record = run_record(10, 3, about=About(tracking_seconds=0.04, left_out=2))
     assert record.frames_per_second == pytest.approx(200)
-    assert "Speed: 200.0 frames/s after a 2-frame warm-up." in " ".join(
-        sentences(record)
-    )
+    assert "Speed: 200.0 frames/s after a 2-frame warm-up." in " ".join(sentences(record))
     assert np.isnan(run_record(10, 3, about=About(left_out=10)).frames_per_second)
 
 
-def test_tracks_that_look_wrong_are_doubted_with_what_helps() -> None:
+def test_suspicious_tracks_cause_a_warning_with_the_cure() -> None:
     fine = run_record(12, 10)
     brief = run_record(4, 10)
     assert doubts(fine, background=True) == ()
@@ -112,7 +110,7 @@ def test_tracks_that_look_wrong_are_doubted_with_what_helps() -> None:
     assert doubts(replace(fine, tracks=Tracks.empty()), background=False) == ()
 
 
-def test_of_a_source_without_an_end_figures_are_of_all_frames_and_charts_of_the_last():
+def test_endless_source_counts_all_frames_and_charts_the_last():
     recorder = Recorder(INFO, most=10)
     for number, boxes in walkers(30, 2, INFO).items():
         recorder.add(None, step(number, boxes), 0.01)

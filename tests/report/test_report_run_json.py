@@ -21,7 +21,7 @@ log_evidence_mean log_evidence
 """
 
 
-def test_keys_and_values() -> None:
+def test_run_document_has_its_keys_and_values() -> None:
     about = About(
         "T",
         "c",
@@ -48,7 +48,7 @@ def test_keys_and_values() -> None:
     assert document["source"] == {"name": "walk", "width": 160, "height": 120, "fps": 10.0}
 
 
-def test_the_evidence_of_every_frame_is_kept() -> None:
+def test_evidence_of_every_frame_is_kept() -> None:
     """Σ log(κ + C) − ∫ p_D D⁺; null where a filter does not say."""
     recorder = Recorder(SequenceInfo(160, 120, 10.0))
     for number, detected in ((1, 1.5), (2, np.nan), (3, 0.5)):
@@ -87,13 +87,13 @@ def test_values_of_every_kind_become_json() -> None:
     assert json_value(value)["truth"] is True
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_unwritable_path_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"run\.json"):
         write_run(tmp_path / "file" / "run.json", {})
 
 
-def test_words_and_numbers() -> None:
+def test_numbers_are_formatted_for_people() -> None:
     assert grouped(1234567.4) == "1,234,567"
     assert (counted(1, "box", "boxes"), counted(2, "box", "boxes"), counted(0, "frame")) == (
         "1 box",

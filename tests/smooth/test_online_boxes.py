@@ -48,7 +48,7 @@ def plain(then, between, now, ratio, kept, sums):
     st.floats(0.2, 4.0),
 )
 @settings(max_examples=60, deadline=None)
-def test_the_sums_are_those_defined(seed: int, counts: list[int], ratio: float):
+def test_sums_equal_their_definition(seed: int, counts: list[int], ratio: float):
     rng = np.random.default_rng(seed)
 
     def some(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -100,9 +100,7 @@ def shown(detector: float, filtered: float, frames: int = 300, targets: int = 5,
 
 
 @pytest.mark.parametrize(("detector", "filtered"), [(0.5, 3.0), (3.0, 0.5), (2.0, 2.0)])
-def test_what_is_shown_is_as_near_to_the_truth_as_the_best_share_makes_it(
-    detector: float, filtered: float
-):
+def test_learned_share_is_as_accurate_as_the_best_share(detector: float, filtered: float):
     """Independent errors of variances r and s are best weighed with a = r/(r + s); then the error
     is rs/(r + s).
     """
@@ -116,12 +114,12 @@ def test_what_is_shown_is_as_near_to_the_truth_as_the_best_share_makes_it(
     assert error < r * s / (r + s) + (r + s) * 0.1**2
 
 
-def test_it_begins_in_the_middle_and_is_never_far_beyond_the_filter():
+def test_share_starts_in_the_middle_and_stays_bounded():
     np.testing.assert_allclose(ShareState().share, PRIOR)
     assert ShareState(sums=np.array([[9.0, 1, 90, 1], [-9, 1, 90, 1]])).share == (MOST, 0)
 
 
-def test_rows_without_a_detection_stay_as_they_are(rng):
+def test_rows_without_detection_are_unchanged(rng):
     online = DetectionShare()
     box = np.array([[10.0, 20, 30, 60], [50, 50, 80, 120]])
     rows = Tracks.of(np.array([1, 1]), np.array([1, 2]), box, np.ones(2), np.array([-1, 0]))
@@ -129,7 +127,7 @@ def test_rows_without_a_detection_stay_as_they_are(rng):
     np.testing.assert_array_equal(out.xyxy, [box[0], box[1] + 1])
 
 
-def test_rows_held_back_show_the_detections_of_their_own_frames():
+def test_delayed_rows_use_detections_of_their_own_frames():
     scene = street()
     late = tracker_of(preset="default", associate={"output_delay": 3})
     rows = Tracks.concatenate([*feed(late, scene), late.flush()])
@@ -154,7 +152,7 @@ def _named(rows: Tracks, scene):
     ]
 
 
-def test_where_the_filters_boxes_are_shown():
+def test_filter_boxes_are_shown_if_asked():
     assert tracker_of().stages.online is not None
     assert tracker_of(preset="mot15").stages.online is None
     # A detection of several targets says of none where it is.

@@ -43,7 +43,7 @@ def test_states_are_those_of_the_joint_density(seed: int, missed: list[bool], dt
     np.testing.assert_allclose(states.covariance, cov, rtol=1e-6, atol=1e-6)
 
 
-def test_paths_side_by_side_are_what_each_is_alone(rng):
+def test_paths_together_equal_each_path_alone(rng):
     model = model_of(scaled_noise=True, acceleration=0.005, size_noise=0.07)
     a = walk(rng, 30, (100, 200), (2, 0))
     b = walk(rng, 30, (400, 100), (-1, 1))
@@ -58,7 +58,7 @@ def test_paths_side_by_side_are_what_each_is_alone(rng):
         )
 
 
-def test_one_path_and_several_go_through_the_same_kernel(rng):
+def test_one_path_and_several_use_the_same_kernel(rng):
     """A kernel of its own for one path would be compiled when two tracks are joined for the first
     time, after hours.
     """
@@ -73,7 +73,7 @@ def test_one_path_and_several_go_through_the_same_kernel(rng):
     assert known[0] == known[1]
 
 
-def test_errors_are_as_large_as_the_covariance_says():
+def test_errors_match_the_covariance():
     """The normalised squared error of what was drawn from the model itself has the mean of its
     dimension.
     """
@@ -99,7 +99,7 @@ def test_errors_are_as_large_as_the_covariance_says():
     assert np.mean(errors) == pytest.approx(6, abs=5 * np.sqrt(12 / 450))
 
 
-def test_no_variance_is_negative_where_a_camera_zooms():
+def test_variances_stay_positive_when_a_camera_zooms():
     """Exact boxes of a target that accelerates, and a camera that zooms by factors from frame to
     frame.
     """
@@ -150,7 +150,7 @@ def drawn(rng, model: Model, n: int) -> np.ndarray:
     return np.array(course)
 
 
-def test_noises_of_a_track_are_those_of_a_model_that_has_them(rng):
+def test_scaled_noises_equal_a_model_with_these_noises(rng):
     model = model_of()
     fine = with_noises(model, FITTED)
     tracks, measured = sequence(
@@ -173,7 +173,7 @@ def test_noises_of_a_track_are_those_of_a_model_that_has_them(rng):
 @pytest.mark.parametrize(
     "factors", [(1.0, 1.0, 1.0, 1.0), (9.0, 0.25, 0.4, 0.4), (3.0, 0.5, 0.4, 1.0)]
 )
-def test_noises_that_made_a_track_are_found_and_make_it_more_exact(factors):
+def test_fitted_noises_are_found_and_reduce_errors(factors):
     """Of 40 tracks of 80 frames, drawn from a model with these noises."""
     rng = np.random.default_rng(11)
     model = model_of()
@@ -201,7 +201,7 @@ def test_noises_that_made_a_track_are_found_and_make_it_more_exact(factors):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
+def test_log_odds_equal_the_ratio_of_densities(seed: int):
     rng = np.random.default_rng(seed)
     model = model_of(survival_probability=1.0)
     n = 24
@@ -225,7 +225,7 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_matching_is_the_best_of_all(seed: int):
+def test_successors_maximise_the_sum_of_log_odds(seed: int):
     rng = np.random.default_rng(seed)
     k = 5
     odds = np.where(rng.random((k, k)) < 0.6, rng.normal(1, 3, (k, k)), -1.0)

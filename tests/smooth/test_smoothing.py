@@ -24,7 +24,7 @@ def smoothed(pieces, frames: int = 60, model=MODEL, **settings) -> Tracks:
 
 @pytest.mark.parametrize("missing", [1, 5, 12, 25])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_track_that_was_cut_is_one_again(missing: int, seed: int):
+def test_interrupted_track_is_joined(missing: int, seed: int):
     rng = np.random.default_rng(seed)
     a = walk(rng, 60, (60, 240), (4, 0))
     b = walk(rng, 60, (600, 60), (-1, 3))
@@ -77,12 +77,12 @@ BROKEN = cut((60, 240), (4, 0), (1, 20), (31, 60))
     ],
 )
 @pytest.mark.parametrize("seed", range(3))
-def test_what_is_joined_and_what_is_not(seed: int, walks, count: int, settings):
+def test_only_plausible_pairs_are_joined(seed: int, walks, count: int, settings):
     rng = np.random.default_rng(seed)
     assert len(names(smoothed([part for make in walks for part in make(rng)], **settings))) == count
 
 
-def test_long_gaps_are_joined_in_name_and_left_open(rng):
+def test_long_gaps_are_joined_but_stay_open(rng):
     """Late in a long sequence, where frames are more than there are rows of tracks."""
     a = walk(rng, 100, (60, 240), (4, 0))
     b = walk(rng, 100, (600, 60), (-1, 3))
@@ -92,7 +92,7 @@ def test_long_gaps_are_joined_in_name_and_left_open(rng):
     assert names(tracks)[1] == [*range(301, 321), *range(361, 401)]
 
 
-def test_two_who_cross_out_of_sight_keep_their_ways(rng):
+def test_targets_crossing_while_hidden_keep_their_identities(rng):
     a = walk(rng, 60, (100, 200), (5, 0))
     b = walk(rng, 60, (395, 206), (-5, 0))
     pieces = [
@@ -110,7 +110,7 @@ def test_two_who_cross_out_of_sight_keep_their_ways(rng):
     assert len(names(tracks)) == 2
 
 
-def test_the_order_of_tracks_does_not_matter(rng):
+def test_order_of_tracks_does_not_matter(rng):
     a = walk(rng, 60, (60, 240), (4, 0))
     b = walk(rng, 60, (600, 60), (-1, 3))
     tracks, measured = sequence(
@@ -125,7 +125,7 @@ def test_the_order_of_tracks_does_not_matter(rng):
         np.testing.assert_allclose(*boxes, atol=1e-7)
 
 
-def test_each_part_can_be_switched_off(rng):
+def test_stitching_and_smoothing_can_be_disabled(rng):
     a = walk(rng, 60, (60, 240), (4, 0))
     pieces = [piece(a, 1, (1, 20)), piece(a, 1, (27, 60))]
     tracks, measured = sequence(pieces, 60, MODEL)
@@ -141,7 +141,7 @@ def test_each_part_can_be_switched_off(rng):
     }
 
 
-def test_rows_that_rest_on_nothing_are_smoothed_inside_and_stay_outside(rng):
+def test_undetected_rows_are_smoothed_only_inside_a_track(rng):
     a = walk(rng, 30, (60, 240), (4, 0))
     shown = piece(a, 1, (3, 10), (14, 25)) | dict.fromkeys((1, 2, 11, 12, 13, 26))
     tracks, measured = sequence([shown], 30, MODEL)
@@ -153,7 +153,7 @@ def test_rows_that_rest_on_nothing_are_smoothed_inside_and_stay_outside(rng):
     np.testing.assert_allclose(middle[:, 0] / 2, 60 + 4 * np.arange(10, 13), atol=3)
 
 
-def test_a_track_says_once_where_it_is(rng):
+def test_a_track_has_one_row_per_frame(rng):
     """The first piece goes on without measurements for longer than until the second begins, or
     ends.
     """
@@ -165,7 +165,7 @@ def test_a_track_says_once_where_it_is(rng):
     assert names(smoothed([first, second])) == {1: list(range(1, 46))}
 
 
-def test_a_measurement_that_two_share_places_neither(rng):
+def test_shared_measurement_belongs_to_no_track(rng):
     """In frames 11 to 13 one box stands for two people."""
     a = walk(rng, 30, (100, 240), (4, 0), noise=0.5)
     b = walk(rng, 30, (100, 340), (4, 0), noise=0.5)
@@ -179,7 +179,7 @@ def test_a_measurement_that_two_share_places_neither(rng):
         np.testing.assert_allclose((rows[:, 1] + rows[:, 3]) / 2, y, atol=2)
 
 
-def test_nothing_comes_of_nothing():
+def test_no_tracks_give_no_tracks():
     none = np.zeros(0, np.int64)
     start = np.zeros(1, np.int64)
     empty = MeasurementHistory(none, np.zeros(0), start, np.zeros((4, 0)), np.zeros((0, 3, 3)))
@@ -190,7 +190,7 @@ def test_nothing_comes_of_nothing():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_second_track_that_begins_before_the_first_ends_is_the_same(seed: int):
+def test_overlapping_tracks_of_one_target_are_joined(seed: int):
     """The detector fires twice on one object in frames 25 to 32, and only on the second box from
     then on.
     """
@@ -212,7 +212,7 @@ def test_a_second_track_that_begins_before_the_first_ends_is_the_same(seed: int)
     assert len(names(smoothed(pieces, max_overlap_time=0.27))) == 3
 
 
-def test_what_never_goes_anywhere_is_left_out_when_asked(rng):
+def test_stationary_tracks_are_dropped_if_asked(rng):
     going = walk(rng, 60, (60, 240), (4, 0))
     staying = walk(rng, 60, (500, 100), (0, 0))
     pieces = [piece(staying, 1, (1, 60)), piece(going, 1, (1, 60))]
@@ -223,7 +223,7 @@ def test_what_never_goes_anywhere_is_left_out_when_asked(rng):
         assert left.xyxy[-1, 0] > left.xyxy[0, 0] + 200
 
 
-def test_who_walks_out_slowly_at_the_border_goes_somewhere_by_the_side_that_is_seen(rng):
+def test_motion_at_the_border_is_that_of_the_visible_side(rng):
     """The head goes down by 60 pixels while the feet are below the picture: the centre moves by
     half of that.
     """
@@ -271,9 +271,7 @@ def at_the_border(
         ((7, 8, 47, 48), {}, 9, 46),
     ],
 )
-def test_a_track_goes_on_to_the_border_by_detections_that_are_left(
-    lost, settings, first: int, last: int
-):
+def test_track_is_extended_to_the_border_by_free_detections(lost, settings, first: int, last: int):
     smoothing = Smoothing(**({"max_continuation": 1.0, "frame_size": (640.0, 480.0)} | settings))
     given, measurements = at_the_border(*lost)
     tracks = smoothing.smooth(given, measurements, MODEL)
@@ -288,7 +286,7 @@ def test_a_track_goes_on_to_the_border_by_detections_that_are_left(
     assert len(tracks.select(tracks.xyxy[:, 1] < 150)) == 60
 
 
-def test_what_another_track_rests_on_carries_nobody_on():
+def test_used_detections_extend_no_track():
     """Of two that walk through each other one is not detected any more when they meet, in frame
     56.
     """

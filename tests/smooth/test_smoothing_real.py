@@ -40,7 +40,7 @@ def scores(data: Path, filter_name: str, *sets: str) -> Scores:
 
 @pytest.mark.data
 @pytest.mark.parametrize("filter_name", ["gm-phd", pytest.param("mht", marks=pytest.mark.slow)])
-def test_joining_and_smoothing_each_earn_their_place(data: Path, filter_name: str):
+def test_stitching_and_smoothing_each_improve_scores(data: Path, filter_name: str):
     both = scores(data, filter_name)
     apart = scores(data, filter_name, "smooth.stitching=false")
     rough = scores(data, filter_name, "smooth.smoothing=false")

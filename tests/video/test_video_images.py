@@ -18,7 +18,7 @@ def save(folder: Path, names: list[str]) -> None:
         cv2.imwrite(str(folder / name), picture(index))
 
 
-def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
+def test_folder_is_read_in_natural_order(tmp_path: Path) -> None:
     save(tmp_path / "walk", ["i1.png", "i2.png", "i10.png"])
     (tmp_path / "walk" / "notes.txt").write_text("not an image")
     source = open_source(tmp_path / "walk", fps=5)
@@ -35,7 +35,7 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
     assert (source.info.name, source.note, source.problem) == ("walk", "", "")
 
 
-def test_samples_of_images_are_spread_over_them(tmp_path: Path) -> None:
+def test_image_samples_are_spread_over_the_sequence(tmp_path: Path) -> None:
     for k in range(1, 12):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((8, 8, 3), 20 * k, np.uint8))
     source = open_source(tmp_path)
@@ -47,7 +47,7 @@ def test_samples_of_images_are_spread_over_them(tmp_path: Path) -> None:
     assert len(list(source.sample(51))) == 11
 
 
-def test_a_pattern_selects_and_an_assumed_rate_is_stated(tmp_path: Path) -> None:
+def test_pattern_selects_files_and_assumed_rate_is_noted(tmp_path: Path) -> None:
     save(tmp_path / "SEQ-1" / "img1", ["a1.png", "a2.png", "b1.png"])
     source = open_source(tmp_path / "SEQ-1" / "img1")
     assert (source.info.name, source.info.fps) == ("SEQ-1", 25)
@@ -70,11 +70,11 @@ def test_a_pattern_selects_and_an_assumed_rate_is_stated(tmp_path: Path) -> None
         (["1583929349000", "1583929349040", "1583929349079"], [1, 2, 3]),
     ],
 )
-def test_numbers_come_from_the_names(stems: list[str], numbers: list[int]) -> None:
+def test_frame_numbers_come_from_file_names(stems: list[str], numbers: list[int]) -> None:
     assert frame_numbers(stems) == numbers
 
 
-def test_bad_images_are_named(tmp_path: Path) -> None:
+def test_unreadable_images_are_named(tmp_path: Path) -> None:
     save(tmp_path / "s", ["1.png", "2.png", "3.png"])
     (tmp_path / "s" / "2.png").write_text("no picture")
     with pytest.raises(InputError, match=r"2\.png: this is not a readable image"):
@@ -89,7 +89,7 @@ def test_bad_images_are_named(tmp_path: Path) -> None:
         open_source(tmp_path / "empty")
 
 
-def test_some_frames_are_chosen_by_number(tmp_path: Path) -> None:
+def test_image_frames_are_chosen_by_number(tmp_path: Path) -> None:
     for k in (1, 2, 4, 5, 7):
         cv2.imwrite(str(tmp_path / f"{k:03d}.png"), np.full((8, 8, 3), k, np.uint8))
     found = list(open_source(tmp_path, fps=10, first=3, last=5))

@@ -18,7 +18,7 @@ from phdtrack.video import VideoWriter, open_source
 from phdtrack.video.decoding import Decoded
 
 
-def test_a_written_clip_reads_back(clip: Path) -> None:
+def test_written_clip_reads_back(clip: Path) -> None:
     source = open_source(clip)
     frames = list(source)
     assert (source.info.width, source.info.height, source.info.fps) == (64, 48, 25.0)
@@ -29,7 +29,7 @@ def test_a_written_clip_reads_back(clip: Path) -> None:
     assert all(np.array_equal(a.image, b.image) for a, b in zip(frames, source, strict=True))
 
 
-def test_a_variable_rate_gives_true_times_and_a_given_one_replaces_them(tmp_path: Path) -> None:
+def test_variable_rate_gives_true_times_unless_fps_is_given(tmp_path: Path) -> None:
     stamps = [500, 540, 600, 1000, 1040, 3000]
     encode(tmp_path / "vfr.mkv", [picture(i) for i in range(6)], stamps)
     times = [frame.time for frame in open_source(tmp_path / "vfr.mkv")]
@@ -44,7 +44,7 @@ def noise(count: int) -> list[Image]:
     return [np.repeat(rng.integers(0, 255, (48, 64, 1), np.uint8), 3, axis=2) for _ in range(count)]
 
 
-def test_a_truncated_file_gives_what_it_has(tmp_path: Path) -> None:
+def test_truncated_file_yields_its_frames(tmp_path: Path) -> None:
     whole = tmp_path / "whole.mp4"
     short = tmp_path / "short.mp4"
     with VideoWriter(whole, 64, 48, 25) as out:
@@ -58,7 +58,7 @@ def test_a_truncated_file_gives_what_it_has(tmp_path: Path) -> None:
     assert re.search(rf"short\.mp4.*{len(frames)}", source.problem)
 
 
-def test_damage_in_the_middle_loses_little(tmp_path: Path) -> None:
+def test_damage_in_the_middle_loses_few_frames(tmp_path: Path) -> None:
     path = tmp_path / "noise.mkv"
     encode(path, noise(60), [40 * i for i in range(60)])
     data = bytearray(path.read_bytes())
@@ -72,7 +72,7 @@ def test_damage_in_the_middle_loses_little(tmp_path: Path) -> None:
     assert f"{len(numbers)} frames could be decoded" in source.problem
 
 
-def test_what_is_no_video_or_missing_is_named(clip: Path) -> None:
+def test_missing_and_invalid_videos_are_named(clip: Path) -> None:
     with pytest.raises(InputError, match=r"no such file.*Did you mean .*clip\.mp4"):
         open_source(clip.with_name("clap.mp4"))
     with pytest.raises(InputError, match="in place of the number"):
@@ -86,13 +86,13 @@ def test_what_is_no_video_or_missing_is_named(clip: Path) -> None:
             open_source(clip)
 
 
-def test_a_file_whose_codec_is_not_known_is_refused(clip: Path) -> None:
+def test_unknown_codec_is_rejected(clip: Path) -> None:
     clip.write_bytes(clip.read_bytes().replace(b"avc1", b"zzzz"))
     with pytest.raises(InputError, match=r"no decoder .*convert it"):
         open_source(clip)
 
 
-def test_samples_are_frames_of_the_file_spread_over_it(tmp_path: Path) -> None:
+def test_video_samples_are_spread_over_the_file(tmp_path: Path) -> None:
     # This encoder makes a picture that can be decoded alone every twelve frames.
     encode(tmp_path / "long.mkv", [picture(i) for i in range(120)], [40 * i for i in range(120)])
     source = open_source(tmp_path / "long.mkv")
@@ -119,7 +119,7 @@ def portrait(clip: Path, path: Path) -> Path:
     return path
 
 
-def test_portrait_recordings_are_turned_upright(clip: Path, tmp_path: Path) -> None:
+def test_portrait_recordings_are_rotated(clip: Path, tmp_path: Path) -> None:
     source = open_source(portrait(clip, tmp_path / "portrait.mp4"))
     assert (source.info.width, source.info.height) == (48, 64)
     upright = next(iter(source)).image
@@ -139,7 +139,7 @@ def test_caviar_is_counted_by_decoding(data: Path) -> None:
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_small_pictures_are_made_of_what_was_decoded(
+def test_small_pictures_are_converted_from_decoded_ones(
     clip: Path, tmp_path: Path, turned: bool
 ) -> None:
     """In the size asked for, the mean of what each pixel covers, also as planes, turned as the
@@ -165,7 +165,7 @@ def test_small_pictures_are_made_of_what_was_decoded(
 @pytest.mark.parametrize(
     "kind", ["yuv420p", "yuvj420p", "yuv420p10le", "yuv422p", "yuv444p", "nv12", "gray", "full"]
 )
-def test_planes_of_all_kinds_of_pictures_are_the_same(kind: str) -> None:
+def test_planes_are_the_same_for_all_pictures(kind: str) -> None:
     # Red grows to the right and downwards, green less, blue not.
     ramp = np.add.outer(np.arange(33), np.arange(21))[..., None] * (
         (1, 1, 1) if kind == "gray" else (0, 0.5, 1)
@@ -186,7 +186,7 @@ def test_planes_of_all_kinds_of_pictures_are_the_same(kind: str) -> None:
 
 
 @pytest.mark.parametrize("asked", [(20, 12), (40, 24), None])
-def test_planes_that_are_prepared_are_those_that_are_asked_for(
+def test_prepared_planes_equal_requested_ones(
     asked: tuple[int, int] | None,
 ) -> None:
     image = np.random.default_rng(0).integers(0, 256, (24, 40, 3), dtype=np.uint8)
@@ -231,7 +231,7 @@ def coded(path: Path, count: int = 90, *, jump: bool = False) -> Path:
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "a.h264", "jump.ts"])
 @pytest.mark.parametrize("given", [0.0, 10.0])
-def test_some_frames_of_a_file_are_those_of_the_whole(
+def test_chosen_frames_equal_those_of_the_whole_file(
     name: str, given: float, tmp_path: Path
 ) -> None:
     """Whether it can jump to them (mp4, mkv), or not (a stream without stamps, or with stamps that
@@ -254,7 +254,7 @@ def test_some_frames_of_a_file_are_those_of_the_whole(
     assert next(iter(replace(open_source(path, first=40), first=1))).number == 1
 
 
-def test_it_is_jumped_to_frames_in_a_file_that_can(tmp_path: Path) -> None:
+def test_first_frame_is_reached_by_seeking(tmp_path: Path) -> None:
     source = open_source(coded(tmp_path / "a.mkv", 400), first=350, last=360)
     read = source.read
     numbers = [number for number, *_ in read(source)]

@@ -13,7 +13,7 @@ from phdtrack.errors import InputError
 from phdtrack.video import VideoWriter, open_source, writing
 
 
-def test_it_is_what_browsers_play(clip: Path) -> None:
+def test_written_video_plays_in_browsers(clip: Path) -> None:
     with av.open(str(clip)) as container:
         stream = container.streams.video[0]
         assert stream.codec_context.name == "h264"
@@ -25,7 +25,7 @@ def test_it_is_what_browsers_play(clip: Path) -> None:
 @pytest.mark.skipif(
     not hasattr(os, "sched_setaffinity"), reason="this system cannot confine a process to one core"
 )
-def test_pictures_do_not_depend_on_how_many_cores_there_are(tmp_path: Path) -> None:
+def test_output_does_not_depend_on_the_number_of_cores(tmp_path: Path) -> None:
     """A rendered scene is the same on every machine, and so is what is found in it."""
     cores = os.sched_getaffinity(0)
     seen = []
@@ -43,7 +43,7 @@ def test_pictures_do_not_depend_on_how_many_cores_there_are(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("fps", [7.0, 29.97, 0.5, 12.5])
-def test_odd_sizes_and_fractional_rates(tmp_path: Path, fps: float) -> None:
+def test_odd_sizes_and_fractional_rates_are_written(tmp_path: Path, fps: float) -> None:
     path = tmp_path / "odd.mp4"
     with VideoWriter(path, 63, 47, fps) as out:
         for index in range(5):
@@ -77,7 +77,7 @@ def test_fast_settings_reach_the_encoder(
     assert [word for word in words if word.encode() not in told] == []
 
 
-def test_planes_are_written_as_they_are(tmp_path: Path) -> None:
+def test_planes_are_written_unchanged(tmp_path: Path) -> None:
     """What was decoded goes to the encoder without a way through BGR, twice in the same way."""
     with VideoWriter(tmp_path / "first.mp4", 64, 48, 25, quality=5) as out:
         for index in range(20):
@@ -94,7 +94,7 @@ def test_planes_are_written_as_they_are(tmp_path: Path) -> None:
         assert np.abs(frame.picture.planes().reshape(72, 64).astype(int) - planes).mean() < 2
 
 
-def test_after_an_error_what_was_written_is_whole_under_another_name(tmp_path: Path) -> None:
+def test_after_an_error_the_part_file_is_playable(tmp_path: Path) -> None:
     path = tmp_path / "half.mp4"
     with contextlib.suppress(RuntimeError), VideoWriter(path, 64, 48, 25) as out:
         for index in range(9):
@@ -107,7 +107,7 @@ def test_after_an_error_what_was_written_is_whole_under_another_name(tmp_path: P
     assert len(list(open_source(part.rename(path)))) == 9
 
 
-def test_other_images_are_refused(tmp_path: Path) -> None:
+def test_images_of_another_size_are_rejected(tmp_path: Path) -> None:
     with VideoWriter(tmp_path / "x.mp4", 64, 48, 25) as out:
         for shape, kind in (
             ((48, 64), np.uint8),
@@ -118,7 +118,7 @@ def test_other_images_are_refused(tmp_path: Path) -> None:
                 out.write(np.zeros(shape, kind))
 
 
-def test_bad_places_sizes_and_rates_and_a_closed_file(tmp_path: Path) -> None:
+def test_invalid_paths_sizes_and_rates_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be written"):
         VideoWriter(tmp_path / "no" / "x.mp4", 64, 48, 25)
     for height, fps in ((0, 25), (48, 0)):
@@ -130,7 +130,7 @@ def test_bad_places_sizes_and_rates_and_a_closed_file(tmp_path: Path) -> None:
         out.write(picture(1))
 
 
-def test_a_missing_encoder_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_encoder_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writing, "ENCODERS", ("no_such_encoder", "neither_this"))
     with pytest.raises(InputError, match=r"tried no_such_encoder, neither_this.*pip install"):
         VideoWriter(tmp_path / "x.mp4", 64, 48, 25)

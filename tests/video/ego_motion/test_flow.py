@@ -35,7 +35,7 @@ def clip():
     ("form", "worst", "typical"), [("similarity", 0.8, 0.2), ("homography", 4.0, 1.0)]
 )
 @pytest.mark.parametrize("told", [True, False], ids=["boxes left out", "boxes not known"])
-def test_the_path_of_a_filmed_street_is_found(
+def test_motion_over_a_filmed_street_is_measured(
     clip, form: str, worst: float, typical: float, told: bool
 ):
     """In pixels, at the corners of the picture, where errors are largest."""
@@ -55,7 +55,7 @@ def texture(rng: np.random.Generator, high: int, wide: int) -> np.ndarray:
     return cv2.normalize(blurred, None, 0, 255, cv2.NORM_MINMAX)
 
 
-def test_a_large_picture_is_measured_small_and_told_in_its_own_pixels(rng):
+def test_motion_of_a_large_picture_is_in_its_own_pixels(rng):
     """The middle of a zoom and a turn is where it is, to a tenth of a pixel of 1280 x 720."""
     wide = texture(rng, 900, 1500)
     c = 1.03 * np.cos(0.02)
@@ -79,7 +79,7 @@ def test_a_large_picture_is_measured_small_and_told_in_its_own_pixels(rng):
     np.testing.assert_array_equal(again(after, NOBODY), warp)
 
 
-def test_what_was_detected_has_no_vote(rng):
+def test_detected_objects_do_not_affect_the_motion(rng):
     """A bus before a wall: most of the picture, and it drives one way while the camera turns the
     other.
     """
@@ -101,7 +101,7 @@ def test_what_was_detected_has_no_vote(rng):
 
 
 @pytest.mark.parametrize("pair", ["blank", "cut", "size"])
-def test_where_nothing_can_be_told_it_says_so(pair: str, rng):
+def test_unmeasurable_motion_is_reported(pair: str, rng):
     one = np.zeros((200, 300), np.uint8) if pair == "blank" else texture(rng, 200, 300)
     two = {"blank": one, "cut": texture(rng, 200, 300), "size": texture(rng, 200, 200)}[pair]
     motion = CameraMotion()

@@ -48,7 +48,7 @@ def tracked(scene, path, settings, seed: int = 0) -> tuple[Tracker, Tracks]:
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_identities_are_kept(street, name: str):
+def test_identities_survive_camera_motion(street, name: str):
     """Shares of what the same filter reaches where the camera stands; of particles the mean of four
     runs, for one run's online IDF1 scatters by 0.1."""
     still, seen, path = street
@@ -70,7 +70,7 @@ def test_identities_are_kept(street, name: str):
         assert untold[0] < 0.7 * stands[0]
 
 
-def test_what_lies_at_pixels_does_not_go_with_a_moving_camera():
+def test_pixel_bound_models_reject_a_moving_camera():
     stages = config.build(config.load(), SequenceInfo(640, 480, 25.0))
     entrance = FixedBirth(
         GaussianMixture(np.ones(1), np.array([[100.0, 100, 0, 0, 40, 80]]).T, np.eye(6)[None])
@@ -81,7 +81,7 @@ def test_what_lies_at_pixels_does_not_go_with_a_moving_camera():
         tracker.update(np.zeros((0, 4)), warp=np.eye(3))
 
 
-def test_settings_that_a_loop_cannot_follow_and_matrices_that_are_none_are_told():
+def test_unusable_settings_and_matrices_are_rejected():
     with pytest.raises(InputError, match=r"^camera_motion.kind: .* Tracker.update\(warp=…\)"):
         Tracker((640, 480), camera_motion={"kind": "flow"})
     tracker = Tracker((640, 480))
@@ -92,7 +92,7 @@ def test_settings_that_a_loop_cannot_follow_and_matrices_that_are_none_are_told(
 
 
 @pytest.mark.parametrize("kind", ["gm-phd", "mht", "pmb", "gm-cphd"])
-def test_a_shift_of_the_camera_shifts_all_rows_and_nothing_else(kind: str):
+def test_camera_shift_only_shifts_rows(kind: str):
     """Online, and corrected with pieces joined and rows smoothed: to rounding what they are where
     the camera stands.
     """
@@ -129,7 +129,7 @@ def identified(table, truth, frames, warps, kind: str = "estimated") -> float:
 
 
 @pytest.mark.data
-def test_a_street_by_a_camera_in_a_hand(data):
+def test_street_filmed_with_a_handheld_camera(data):
     folder = data / "mot15" / "TUD-Campus"
     table = read_detections(folder / "det_frcnn" / "det.txt")
     truth = read_truth(folder / "gt" / "gt.txt")
