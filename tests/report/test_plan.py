@@ -11,8 +11,8 @@ import pytest
 
 from phdtrack.cli.groups import extent_of
 from phdtrack.groups.clusters import Groups
-from phdtrack.groups.group_stages import GroupFrame
 from phdtrack.groups.encounters import Encounter
+from phdtrack.groups.group_stages import GroupFrame
 from phdtrack.groups.life_cycle import Event
 from phdtrack.report.drawing import Canvas, identity_colour
 from phdtrack.report.ground_plan import Plan, PlanScene

@@ -15,8 +15,9 @@ from phdtrack.report.pages import counted, duration, grouped, percent
 from phdtrack.types import SequenceInfo, Tracks
 
 KEYS = """
-command title summary versions seed started seconds source frames frames_per_second stages tracks track_rows predicted_rows
-detections expected_false_alarms expected_count_mean scores warnings notes configuration frames_left_out
+command title summary versions seed started seconds source frames frames_per_second stages tracks
+track_rows predicted_rows detections expected_false_alarms expected_count_mean scores warnings notes
+configuration frames_left_out
 log_evidence_mean log_evidence
 """
 

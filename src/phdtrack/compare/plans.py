@@ -1,4 +1,4 @@
-"""What is compared: cases, methods, runs, and the plan that combines them."""
+"""Contents of a comparison: cases, methods, runs, and the plan that combines them."""
 
 from __future__ import annotations
 

@@ -184,8 +184,15 @@ def end_to_end(place: int, outputs: Sequence[Array]) -> tuple[Array, Array, Arra
 def grid(
     place: int, upright: bool, objectness: int, classes: int, outputs: Sequence[Array]
 ) -> tuple[Array, Array, Array]:
-    """Decode rows (columns unless ``upright``) of centre, size, ``objectness`` (0 or 1 of them),
-    and scores.
+    """Decode rows of centre, size, objectness and scores.
+
+    Parameters
+    ----------
+    place : index of the output.
+    upright : False: rows and columns are exchanged.
+    objectness : 1 if there is such a column, else 0.
+    classes : number of columns with scores.
+    outputs : of the network for one picture.
     """
     rows = outputs[place] if upright else outputs[place].T
     rows = rows.astype(np.float32, copy=False)
@@ -198,7 +205,14 @@ def grid(
 def separate(
     places: tuple[int, int, int], order: list[int], outputs: Sequence[Array]
 ) -> tuple[Array, Array, Array]:
-    """Decode boxes whose edges stand in this order, scores, and labels if there are any."""
+    """Decode boxes, scores, and labels if there are any.
+
+    Parameters
+    ----------
+    places : indices of these outputs; that of labels is −1 without labels.
+    order : of left, top, right and bottom in a box.
+    outputs : of the network for one picture.
+    """
     boxes, score = (outputs[place].astype(np.float32) for place in places[:2])
     label: Array = np.zeros(len(score), np.int64)
     if places[2] >= 0:
@@ -209,7 +223,15 @@ def separate(
 def queries(
     places: tuple[int, int], logits: bool, no_object: bool, outputs: Sequence[Array]
 ) -> tuple[Array, Array, Array]:
-    """Decode centred boxes and scores of all classes, the last of which may be "no object"."""
+    """Decode centred boxes and scores of all classes.
+
+    Parameters
+    ----------
+    places : indices of the outputs with boxes and scores.
+    logits : True if the scores are not yet probabilities.
+    no_object : True if the last class means "no object".
+    outputs : of the network for one picture.
+    """
     boxes, table = (outputs[place].astype(np.float64) for place in places)
     if logits:
         # Imported here because it takes long.

@@ -1,4 +1,4 @@
-"""What a detector has learned of the scene: learned from a file, saved, and restored."""
+"""Knowledge that a detector has of the scene: learned from a file, saved, and restored."""
 
 from __future__ import annotations
 

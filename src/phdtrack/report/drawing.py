@@ -72,8 +72,13 @@ class Canvas:
     def boxes(
         self, boxes: F8, colour: Rgb, width: int, opacity: float, *, crossed: bool = False
     ) -> None:
-        """Draw translucent outlines of boxes (n, 4), with their diagonals if they are
-        ``crossed``.
+        """Draw translucent outlines of boxes.
+
+        Parameters
+        ----------
+        boxes : (n, 4) xyxy, pixels.
+        colour, width, opacity : of the lines; opacity from 0 to 1.
+        crossed : draw the diagonals too.
         """
         for _, (left, top, right, bottom) in self._corners(boxes):
             cv2.rectangle(self.image, (left, top), (right, bottom), colour[::-1], width)
@@ -87,11 +92,23 @@ class Canvas:
                 self.line_opacity(diagonals, width, opacity)
 
     def line_colour(self, lines: Sequence[NDArray[np.int32]], colour: Rgb, width: int) -> None:
-        """Draw the colour of lines through points (n, 2), wider because of their smoothed edges."""
+        """Draw the colour of lines, wider because of their smoothed edges.
+
+        Parameters
+        ----------
+        lines : (n, 2) points of each.
+        colour, width : of the lines.
+        """
         cv2.polylines(self.image, lines, False, colour[::-1], width + 2)
 
     def line_opacity(self, lines: Sequence[NDArray[np.int32]], width: int, opacity: float) -> None:
-        """Draw the opacity of lines through points (n, 2)."""
+        """Draw the opacity of lines.
+
+        Parameters
+        ----------
+        lines : (n, 2) points of each.
+        width, opacity : of the lines; opacity from 0 to 1.
+        """
         cv2.polylines(self._opacity, lines, False, round(255 * opacity), width, cv2.LINE_AA)
 
     def onto(self, picture: Image) -> Image:
@@ -113,7 +130,13 @@ class Canvas:
     def targets(
         self, boxes: F8, colours: Sequence[Rgb], dashed: Bool, labels: Sequence[str]
     ) -> None:
-        """Draw the outlines of boxes (n, 4), and above all of them their labels."""
+        """Draw the outlines of boxes, and above all of them their labels.
+
+        Parameters
+        ----------
+        boxes : (n, 4) xyxy, pixels.
+        colours, dashed, labels : (n,) of each box.
+        """
         visible = self._corners(boxes)
         for k, (left, top, right, bottom) in visible:
             if dashed[k]:
@@ -147,8 +170,14 @@ class Canvas:
         *,
         cached: bool = True,
     ) -> None:
-        """Draw text on a coloured plate with this lower left corner, moved and shrunk to stay in
-        the picture. Cache texts that recur in later frames.
+        """Draw text on a coloured plate, moved and shrunk to stay in the picture.
+
+        Parameters
+        ----------
+        text : letters of ASCII; others become question marks.
+        corner : left and bottom, pixels.
+        fill, opacity : of the plate; opacity from 0 to 1.
+        cached : True for texts that recur in later frames.
         """
         style = (text, fill, round(255 * opacity), self._font, self._bold, self.image.shape[1])
         plate, alpha = cached_plate(*style) if cached else _plate(*style)
@@ -162,12 +191,25 @@ class Canvas:
         self._opacity[area] = alpha[: visible[0], : visible[1]]
 
     def text(self, text: str, corner: Sequence[int], colour: Rgb) -> None:
-        """Draw small letters without a plate."""
+        """Draw small letters without a plate.
+
+        Parameters
+        ----------
+        text : letters of ASCII.
+        corner : left and bottom, pixels.
+        colour : of the letters.
+        """
         scale = 0.8 * self._font
         cv2.putText(self.image, text, corner, _FONT, scale, colour[::-1], 1, cv2.LINE_AA)
 
     def path(self, points: F8, colour: Rgb, width: int) -> None:
-        """Draw a line through points (2, K)."""
+        """Draw a line.
+
+        Parameters
+        ----------
+        points : (2, K) pixels.
+        colour, width : of the line.
+        """
         line = fixed_point(points)
         cv2.polylines(self.image, [line], False, colour[::-1], width, cv2.LINE_AA, FRACTION_BITS)
 
@@ -180,7 +222,14 @@ class Canvas:
             cv2.polylines(self.image, rings, True, colour[::-1], width, cv2.LINE_AA, FRACTION_BITS)
 
     def label(self, text: str, corner: Sequence[int], fill: Rgb) -> None:
-        """Draw a `plate`, moved up if it would cover an earlier label."""
+        """Draw a `plate`, moved up if it would cover an earlier label.
+
+        Parameters
+        ----------
+        text : letters of ASCII.
+        corner : left and bottom, pixels.
+        fill : colour of the plate.
+        """
         (width, height), descent = cv2.getTextSize(text, _FONT, self._font, self._bold)
         padding = max(2, height // 4)
         width = width + 2 * padding

@@ -134,8 +134,13 @@ class Sequence:
         )
 
     def filtered(self, paths: Paths, scales: Scales, *, brief: bool = False) -> Filtered:
-        """The states of all rows of the paths, given the measurements up to each; only the last
-        state of each path is kept if ``brief``.
+        """The states of all rows of the paths, given the measurements up to each.
+
+        Parameters
+        ----------
+        paths : the trajectories.
+        scales : of their noises.
+        brief : keep only the last state of each path, and no predictions.
         """
         observed = self.observed
         d = len(self.state)

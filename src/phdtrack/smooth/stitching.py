@@ -76,7 +76,14 @@ class _Pairs(NamedTuple):
 
 
 def stitched(paths: Paths, sequence: Sequence, settings: Stitching) -> tuple[Paths, Smoothed]:
-    """Join the paths of one target, and smooth the states of all rows."""
+    """Join the paths of one target, and smooth the states of all rows.
+
+    Parameters
+    ----------
+    paths : the trajectories.
+    sequence : their measurements.
+    settings : the parameters of stitching.
+    """
     states = sequence.smooth(paths)
     while len(paths) > 1:
         after = best_successors(*candidates(paths, states, sequence, settings), len(paths))
@@ -108,6 +115,12 @@ def candidates(
 
     One begins within ``max_gap`` after the other's end, while the target may still exist; or they
     overlap (`_overlaps`).
+
+    Parameters
+    ----------
+    paths, states : the trajectories, and the states of their rows.
+    sequence : their measurements.
+    settings : the parameters of stitching.
     """
     births = _births(paths, sequence)
     new_target = math.log(births * settings.occluded * (1 - settings.reentry) / settings.reentry)
@@ -250,8 +263,12 @@ def _births(paths: Paths, sequence: Sequence) -> float:
 
 
 def best_successors(before: I8, after: I8, odds: F8, count: int) -> I8:
-    """(K,) the successor of each of ``count`` paths, −1 for none, so that the sum of the log-odds
-    is maximal.
+    """(K,) the successor of each path, −1 for none, so that the sum of the log-odds is maximal.
+
+    Parameters
+    ----------
+    before, after, odds : from `candidates`.
+    count : number of paths.
     """
     good = np.flatnonzero(odds > 0)
     good = good[np.argsort(before[good], kind="stable")]

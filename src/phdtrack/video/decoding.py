@@ -38,11 +38,13 @@ _CONVERT = "convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)"
 
 
 def file_source(path: str, fps: float, first: int) -> VideoSource:
-    """The frames of a video file or address that FFmpeg can open, in order of presentation, from
-    frame ``first`` on.
+    """The frames of a video file or address that FFmpeg can open, in order of presentation.
 
-    ``fps`` above 0 replaces the stream's time stamps. Raises `InputError` if no frame can be
-    decoded.
+    Parameters
+    ----------
+    path : a file, or an address with ``://``. Raises `InputError` if no frame can be decoded.
+    fps : frames per second; above 0 it replaces the stream's time stamps.
+    first : the first frame that is needed, from 1.
     """
     losses: list[tuple[int, str]] = []
     with _open(path) as (container, stream):
