@@ -179,7 +179,7 @@ def test_a_damaged_folder_is_run_again(tmp_path: Path) -> None:
     assert plain(second.results) == plain(first.results)
 
 
-def test_clutter_is_the_same_for_all_methods_and_another_for_every_seed(tmp_path: Path) -> None:
+def test_clutter_depends_on_the_seed_and_not_on_the_method(tmp_path: Path) -> None:
     made = small(tmp_path, clutter=[3.0])
     given = {
         (one.case.name, one.method.name, one.seed): run_input(one, tmp_path).table

@@ -215,14 +215,14 @@ def constant(
     nodes = [
         helper.make_node(
             "ConstantOfShape",
-            [f"{name}_shape"],
+            [f"{name}.shape"],
             [name],
             value=helper.make_tensor("v", 1, [1], [value]),
         )
         for name in shapes
     ]
     sizes = [
-        helper.make_tensor(f"{name}_shape", TensorProto.INT64, [len(shape)], shape)
+        helper.make_tensor(f"{name}.shape", TensorProto.INT64, [len(shape)], shape)
         for name, shape in shapes.items()
     ]
     taken = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, channels, 64, 64))

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from camera_server import CameraServer, HlsServer, RtspServer, until
 
-from phdtrack.live import sources
 from phdtrack.video import VideoWriter
+from phdtrack.video import live_sources as sources
 from phdtrack.video.live_sources import LONGEST_PAUSE, LiveFrame, LiveSource, named, shown
 
 

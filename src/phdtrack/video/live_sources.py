@@ -1,14 +1,13 @@
-"""Cameras that never end: the newest picture, at its true time, over time-outs, failures and
-reconnections.
+"""Live cameras: the newest picture at its true time, despite time-outs, failures and reconnections.
 
-A thread of its own reads and decodes everything that a camera sends and keeps the newest picture
-only: what comes while the tracker is busy is dropped and counted, so that nothing lags. A picture's
-time is that of its arrival. Streams that arrive in pieces of seconds (HLS), and files, are played
-at the pace of their time stamps instead, and these are the times then.
+A separate thread reads and decodes everything that a camera sends, and keeps only the newest
+picture. Pictures that arrive while the tracker is busy are dropped and counted, so that nothing
+lags. A picture's time is that of its arrival. Streams that arrive in pieces of some seconds (HLS),
+and files, are played at the pace of their time stamps instead, which then are the times.
 
-A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again,
-about twice a second. A read that hangs in spite of that is left behind, and another thread begins
-anew.
+If a camera cannot be reached, ends, or is silent for longer than a time-out, the connection is
+retried about twice a second. A read that hangs nevertheless is abandoned, and another thread starts
+again.
 """
 
 from __future__ import annotations
@@ -31,21 +30,23 @@ from phdtrack.types import Image
 from phdtrack.video.decoding import bgr
 
 State = Literal["connecting", "live", "silent", "down"]
-# Seconds between two tries: the first, and the longest.
+# Seconds between two attempts to connect: the first, and the longest.
 FIRST_PAUSE = 0.1
 LONGEST_PAUSE = 0.5
-# A read that takes so much longer than its time-out is left behind. Pictures of which the rate is
-# measured. Seconds for which pictures may be left out that came while the connection was made; for
-# which packets may bring none.
+# Seconds beyond its time-out after which a hanging read is abandoned.
 GRACE = 2.0
+# Pictures from which the rate is measured.
 RECENT = 64
+# Seconds for which pictures buffered during connection are dropped.
 CATCH_UP = 3.0
+# Seconds for which packets may contain no picture.
 UNDECODED = 60.0
 
 
 class LiveFrame(NamedTuple):
-    """A picture: its number from 1 among all that arrived, dropped ones too; seconds since the
-    source was started, and since 1970 (UTC); (H, W, 3) BGR."""
+    """A picture (H, W, 3) BGR with its number, from 1, among all that arrived, including dropped
+    ones; ``time`` in seconds since the source was started; ``wall`` in seconds since 1970 (UTC).
+    """
 
     number: int
     time: float
@@ -55,19 +56,19 @@ class LiveFrame(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SourceStatus:
-    """How a source is.
+    """The state of a source.
 
     Attributes
     ----------
     state : ``connecting``; ``live``; ``silent``, connected without pictures; ``down``, waiting for
-        the next try.
-    since : seconds that it has been live, or that no picture has come.
-    connects, frames, dropped, undecodable : since the start. Dropped pictures were never given to
-        anybody.
-    fps : measured over the last pictures; 0 where unknown.
-    width, height : of the pictures that are given, those of the first; ``sent`` is the size that
-        the camera sends now.
-    problem : what ended the last connection; empty where nothing did.
+        the next attempt.
+    since : seconds for which it has been live, or without a picture.
+    connects, frames, dropped, undecodable : numbers since the start. Dropped pictures were never
+        returned.
+    fps : measured over the last pictures; 0 if unknown.
+    width, height : size of returned pictures, that of the first; ``sent`` is the size that the
+        camera sends now.
+    problem : what ended the last connection; empty if nothing did.
     """
 
     state: State = "connecting"
@@ -90,8 +91,8 @@ class LiveSource:
     Parameters
     ----------
     address : ``rtsp://…``, ``http://…`` (MJPEG, HLS), a camera's number, or a file, which is played
-        again and again.
-    connect, read : time-outs in seconds: up to the first picture of a connection, and between two
+        in a loop.
+    connect, read : time-outs in seconds: up to the first picture of a connection, and between
         pictures.
     """
 
@@ -107,7 +108,7 @@ class LiveSource:
     _times: deque[float] = field(
         default_factory=lambda: deque(maxlen=RECENT), init=False, repr=False
     )
-    # Which reading thread counts; when it last showed that it does not hang.
+    # The number of the active reading thread, and the last time at which it did not hang.
     _generation: int = field(default=0, init=False, repr=False)
     _progress: float = field(default=0.0, init=False, repr=False)
     _stopped: bool = field(default=False, init=False, repr=False)
@@ -115,26 +116,26 @@ class LiveSource:
     _since: float = field(default=0.0, init=False, repr=False)
 
     def start(self) -> None:
-        """Begin to read. Raises `InputError` where the package av is missing."""
+        """Start to read. Raises `InputError` if the package av is missing."""
         needed("av")
         self._start = self._since = time.monotonic()
         self._begin()
 
     def stop(self) -> None:
-        """Read no more; a read that hangs is left behind."""
+        """Stop to read; a read that hangs is abandoned."""
         with self._change:
             self._stopped = True
             self._change.notify_all()
 
     def next(self, timeout: float) -> LiveFrame | None:
-        """The newest picture that was not given yet; None where none comes within ``timeout``
-        seconds, or it was stopped.
+        """The newest picture, unless it was returned before; None if none arrives within
+        ``timeout`` seconds, or the source was stopped.
         """
         with self._change:
             allowed = (self.read if self._status.state == "live" else self.connect) + GRACE
             if not self._stopped and time.monotonic() - self._progress > allowed:
-                # A thread that hangs is left behind.
-                self._set("down", "nothing came, and the connection did not end")
+                # The hanging thread is abandoned.
+                self._set("down", "no data, although the connection is open")
                 self._begin()
             self._change.wait_for(lambda: self._newest is not None or self._stopped, timeout)
             if self._newest is None or self._stopped:
@@ -143,37 +144,31 @@ class LiveSource:
             self._newest = None
             width = self._status.width
             height = self._status.height
-        if isinstance(picture, np.ndarray):
+        if not isinstance(picture, np.ndarray):
+            image = bgr(picture, width, height)
+        elif picture.shape[1::-1] == (width, height):
+            image = picture
+        else:
             import cv2
 
-            if picture.shape[1::-1] == (width, height):
-                image = picture
-            else:
-                image = cv2.resize(picture, (width, height))
-        else:
-            image = bgr(picture, width, height)
+            image = np.asarray(cv2.resize(picture, (width, height)), np.uint8)
         return LiveFrame(number, at - self._start, wall, np.ascontiguousarray(image))
 
     def status(self) -> SourceStatus:
-        """How it is now."""
+        """The present state."""
         with self._change:
             now = time.monotonic()
             times = self._times
+            fps = 0.0
             if len(times) > 1 and times[-1] > times[0]:
                 fps = (len(times) - 1) / (times[-1] - times[0])
-            else:
-                fps = 0.0
-            state = self._status.state
-            if times:
-                quiet = now - times[-1]
-            else:
-                quiet = now - self._since
-            if state == "live" and quiet > max(1.0, 3 / fps if fps else 0.0):
+            quiet = now - (times[-1] if times else self._since)
+            if self._status.state == "live" and quiet > max(1.0, 3 / fps if fps else 0.0):
                 return replace(self._status, state="silent", since=quiet, fps=fps)
             return replace(self._status, since=now - self._since, fps=fps)
 
     def _begin(self) -> None:
-        """A reading thread; those before it end when they next look."""
+        """Start a reading thread; earlier ones end at their next check."""
         self._generation += 1
         self._progress = time.monotonic()
         thread = threading.Thread(
@@ -185,9 +180,7 @@ class LiveSource:
         thread.start()
 
     def _current(self, generation: int, *, moves: bool = True) -> bool:
-        """Whether a thread is the one that counts; where it ``moves`` it has just shown that it
-        does not hang.
-        """
+        """Return True if a thread is the active one; ``moves``: note that it does not hang."""
         if self._stopped or generation != self._generation:
             return False
         if moves:
@@ -195,20 +188,19 @@ class LiveSource:
         return True
 
     def _set(self, state: State, problem: str | None = None) -> None:
+        """Set the state, and the problem if there is a new one."""
         if state != self._status.state and "live" in (state, self._status.state):
-            # Without pictures since the last one, however often it is tried again.
+            # The time without pictures includes all attempts to reconnect.
             if state == "live":
                 self._since = time.monotonic()
             else:
                 self._since = self._times[-1]
-        if problem is None:
-            said = self._status.problem
-        else:
-            said = shown(problem)
-        self._status = replace(self._status, state=state, problem=said)
+        self._status = replace(self._status, state=state)
+        if problem is not None:
+            self._status = replace(self._status, problem=shown(problem))
 
     def _run(self, generation: int) -> None:
-        """Connect, read, and again."""
+        """Connect and read, again and again."""
         av = needed("av")
 
         pause = FIRST_PAUSE
@@ -230,58 +222,53 @@ class LiveSource:
                     pause = FIRST_PAUSE
                 problem = "the stream ended"
             except Exception as error:
-                # FFmpeg's own words for a time-out are "Immediate exit requested".
-                late = isinstance(error, av.ExitError)
-                said = str(getattr(error, "strerror", None) or error) or type(error).__name__
-                if late:
+                problem = str(getattr(error, "strerror", None) or error) or type(error).__name__
+                # FFmpeg reports a time-out as "Immediate exit requested".
+                if isinstance(error, av.ExitError):
                     problem = "no answer in time"
-                else:
-                    problem = said
             with self._change:
                 if not self._current(generation):
                     return
                 self._set("down", problem)
-                # Not all cameras of a building at once.
+                # A random pause keeps many cameras from reconnecting at once.
                 self._change.wait_for(lambda: self._stopped, pause * random.uniform(0.7, 1.0))
             pause = min(2 * pause, LONGEST_PAUSE)
 
     def _arrived(self, picture: Any, at: float) -> None:
-        """Keep a picture, of a time on the monotonic clock, in place of the one before."""
+        """Keep a picture, with its time on the monotonic clock, in place of the previous one."""
         status = self._status
         wall = time.time() - (time.monotonic() - at)
         if isinstance(picture, np.ndarray):
-            size = picture.shape[1::-1]
+            sent = (picture.shape[1], picture.shape[0])
         else:
-            size = (picture.width, picture.height)
-        width, height = (status.width, status.height) if status.width else size
-        dropped = status.dropped + (self._newest is not None)
+            sent = (int(picture.width), int(picture.height))
+        width, height = (status.width, status.height) if status.width else sent
         self._status = replace(
             status,
             frames=status.frames + 1,
-            dropped=dropped,
+            dropped=status.dropped + (self._newest is not None),
             width=width,
             height=height,
-            sent=(int(size[0]), int(size[1])),
+            sent=sent,
         )
         self._times.append(at)
         self._newest = (self._status.frames, at, wall, picture)
         self._change.notify_all()
 
     def _pictures(self, generation: int) -> Iterator[tuple[Any, float]]:
-        """The pictures of one connection: (H, W, 3) arrays, or PyAV's, each with its time, 0 for
-        that of its arrival.
+        """The pictures of one connection, (H, W, 3) arrays or PyAV's, each with its time on the
+        monotonic clock; 0 for that of its arrival.
         """
         if self.address.isdecimal():
             yield from ((picture, 0.0) for picture in self._camera(int(self.address)))
             return
         av = needed("av")
-
         remote = "://" in self.address
-        # What is read to find out the codec is kept: all until the next key frame depends on it.
+        options = dict[str, str]()
         if remote:
+            # The packets read to detect the codec are kept: pictures up to the next key frame
+            # depend on them.
             options = {"flags": "low_delay", "fpsprobesize": "0"}
-        else:
-            options = {}
         if urlsplit(self.address).scheme.startswith("rtsp"):
             options["rtsp_transport"] = "tcp"
         with av.open(
@@ -290,55 +277,32 @@ class LiveSource:
             stream = container.streams.video[0]
             stream.thread_type = "SLICE"
             paced = not remote or "hls" in container.format.name
-            begun = 0.0
-            first = 0.0
-            last = -math.inf
-            behind = remote and not paced and container.format.name != "mpjpeg"
-            before = 0.0
-            stamp = 0.0
+            pace = _Pace(self.read)
+            backlog = _Backlog(remote and not paced and container.format.name != "mpjpeg")
             pictured = time.monotonic()
-            caught_up = pictured + CATCH_UP
             for packet in container.demux(stream):
                 with self._change:
-                    # Until the next key frame no picture comes, which cameras may take half a
-                    # minute for.
+                    # There are no pictures before the next key frame, which may take a camera half
+                    # a minute.
                     if not self._current(generation, moves=time.monotonic() < pictured + UNDECODED):
                         return
-                try:
-                    pictures: list[Any] = list(packet.decode())
-                except av.InvalidDataError:
-                    with self._change:
-                        self._status = replace(
-                            self._status, undecodable=self._status.undecodable + 1
-                        )
-                    continue
-                for picture in pictures:
-                    if behind and picture.time is not None:
-                        # What came while the connection was made is older than its arrival, and
-                        # comes all at once.
-                        now = time.monotonic()
-                        behind = now < caught_up and (
-                            not before or now - before < (picture.time - stamp) / 2
-                        )
-                        before = now
-                        stamp = picture.time
-                        if behind:
-                            continue
+                for picture in self._decoded(packet):
+                    if picture.time is not None and backlog.holds(picture.time):
+                        continue
                     at = 0.0
                     if paced and picture.time is not None:
-                        at = begun + (picture.time - first)
-                        late = time.monotonic() - at
-                        if abs(late) > self.read or at <= last:
-                            # The first one; or the time stamps jumped, or the stream was held up:
-                            # from here on anew.
-                            begun = time.monotonic()
-                            first = picture.time
-                            at = begun
-                        elif late < 0:
-                            time.sleep(-late)
-                        last = at
+                        at = pace.wait(picture.time)
                     yield picture, at
                     pictured = time.monotonic()
+
+    def _decoded(self, packet: Any) -> list[Any]:
+        """The pictures of a packet; one that cannot be decoded is counted, and has none."""
+        try:
+            return list(packet.decode())
+        except needed("av").InvalidDataError:
+            with self._change:
+                self._status = replace(self._status, undecodable=self._status.undecodable + 1)
+            return []
 
     def _camera(self, index: int) -> Iterator[Image]:
         """The pictures of a camera of this machine."""
@@ -349,38 +313,87 @@ class LiveSource:
             if not capture.isOpened():
                 raise OSError(f"camera {index} cannot be opened")
             while True:
-                there, image = capture.read()
-                if not there:
+                success, image = capture.read()
+                if not success:
                     return
                 yield np.asarray(image, np.uint8)
         finally:
             capture.release()
 
 
+class _Backlog:
+    """Finds pictures that were buffered during connection: they are older than their arrival, and
+    arrive all at once.
+    """
+
+    def __init__(self, active: bool) -> None:
+        self._active = active
+        self._deadline = time.monotonic() + CATCH_UP
+        self._arrival = 0.0
+        self._stamp = 0.0
+
+    def holds(self, stamp: float) -> bool:
+        """Return True if the next picture, with this time stamp, belongs to the backlog."""
+        if not self._active:
+            return False
+        now = time.monotonic()
+        faster = not self._arrival or now - self._arrival < (stamp - self._stamp) / 2
+        self._active = now < self._deadline and faster
+        self._arrival = now
+        self._stamp = stamp
+        return self._active
+
+
+class _Pace:
+    """Plays pictures at the pace of their time stamps.
+
+    ``tolerance`` : seconds by which a picture may be early or late before the pace starts anew.
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+        self._start = 0.0
+        self._first = 0.0
+        self._last = -math.inf
+
+    def wait(self, stamp: float) -> float:
+        """Wait until the picture with this time stamp is due; return this time."""
+        at = self._start + (stamp - self._first)
+        late = time.monotonic() - at
+        if abs(late) > self._tolerance or at <= self._last:
+            # The first picture; or the stamps jumped, or the stream was held up.
+            self._start = time.monotonic()
+            self._first = stamp
+            at = self._start
+        elif late < 0:
+            time.sleep(-late)
+        self._last = at
+        return at
+
+
 def check_address(address: str) -> None:
-    """Raise `InputError` where it is no address, or has a password with a / that is not written as
+    """Raise `InputError` if it is no address, or if a password contains a / that is not written as
     %2F.
     """
     try:
         urlsplit(address)
     except ValueError:
-        # Its own words may hold a part of a password.
-        raise InputError("expected an address, and this is none", where="SOURCE") from None
-    # What stands before the first / is no host with a port.
+        # The original message may contain a part of a password.
+        raise InputError("this is not an address", where="SOURCE") from None
+    # The part before the first / is no host with a port.
     before = re.match(r"[A-Za-z0-9+.-]+://([^/@?]*):([^/@?]*)/[^?]*@", address)
     if before and not (before[2].isdecimal() and re.search(r"[.\]]", before[1])):
-        problem = "expected user:password@host in the address, got an @ behind the first /"
-        cure = "Write / in a password as %2F, and @ behind the host as %40."
-        raise InputError(problem, where="SOURCE", cure=cure)
+        raise InputError(
+            "expected user:password@host in the address, got an @ after the first /",
+            where="SOURCE",
+            cure="Write / in a password as %2F, and @ after the host as %40.",
+        )
 
 
 def named(address: str) -> str:
-    """A short name for a source, for folders and pages: letters, digits, points and hyphens
-    only.
-    """
-    parts = urlsplit(shown(address))
+    """A short name of a source for folders and pages, of letters, digits, points and hyphens."""
+    plain = shown(address)
+    parts = urlsplit(plain)
     if parts.netloc:
         plain = urlunsplit(("", parts.netloc.rpartition("@")[2], parts.path, "", ""))
-    else:
-        plain = shown(address)
     return re.sub(r"[^A-Za-z0-9.-]+", "-", plain).strip("-.") or "camera"
