@@ -101,7 +101,7 @@ def test_boxes_without_size_are_left_out_counted_and_said_once(kind: str, caplog
     assert plain.left_out.empty == 0
     assert [
         record.getMessage() for record in caplog.records if record.name == "phdtrack.tracker"
-    ] == ["frame 2: 2 boxes left out: their width or height is not above 0"]
+    ] == ["frame 2: 2 boxes left out: width or height not above 0"]
     one = plain.tracks()
     two = other.tracks()
     moved = one.frame % 3 == 2

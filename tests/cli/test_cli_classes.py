@@ -42,7 +42,7 @@ def test_a_run_names_the_classes_and_tracks_those_that_are_asked_for(
     assert "car 1, person 1" in (out / "report.html").read_text()
     said = phdtrack(*run, tmp_path / "person", "--classes", "Person")
     assert "1 object (person 1)" in said.out
-    assert "40 boxes left out: their class was not asked for" in said.err
+    assert "40 boxes left out: class not chosen" in said.err
     sentence = refused(*run, tmp_path / "none", "--classes", "truck")
     assert "there is no class truck in these detections. There are car, person." in sentence
 

@@ -129,7 +129,7 @@ def test_detections_beyond_the_most_are_left_out_and_counted(
         "surplus": len(frames) - len(set(frames))
     }
     assert (
-        f"{left_out['surplus']} boxes left out: a frame has more than limits.max_detections"
+        f"{left_out['surplus']} boxes left out: more in a frame than limits.max_detections"
         in said.err
     )
 

@@ -271,7 +271,7 @@ def test_after_a_signal_a_long_video_is_not_drawn_to_its_end(
     assert isinstance(outcome.stop, KeyboardInterrupt)
     assert len(list(open_source(directory.file(rundir.VIDEO)))) == 1
     assert len(read_tracks(directory.file(rundir.TRACKS))) == 7
-    assert any("annotated.mp4 ends after frame 1," in warning for warning in outcome.warnings)
+    assert any("annotated.mp4 ends after frame 1 because" in warning for warning in outcome.warnings)
 
 
 def test_stopped_while_drawing(

@@ -89,7 +89,7 @@ def test_boxes_that_look_wrong_are_said_once(caplog: pytest.LogCaptureFixture) -
         tracker.reset()
         tracker.update([[10, 10, 50, 90]])
         tracker.update([[700, 10, 750, 90]])
-        assert "frame 2: 1 of 1 boxes lie outside of the frame of 640x480 pixels" in caplog.text
+        assert "frame 2: 1 of 1 boxes lie outside the frame of 640x480 pixels" in caplog.text
 
 
 def test_the_names_of_the_package_are_listed_and_evaluate_refuses_other_things() -> None:
