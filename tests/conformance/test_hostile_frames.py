@@ -166,7 +166,7 @@ def test_boxes_that_no_picture_shows_are_left_out_and_said_once(
     assert other.left_out == LeftOut(misplaced=5 * len(odd))
     assert (
         sum(
-            "a side is below 0.001 pixels or above 10 frames" in one.getMessage()
+            "a side below 0.001 pixels or above 10 frames" in one.getMessage()
             for one in caplog.records
         )
         == 1
