@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from experiments.common import ROOT, Options, in_parallel, need_data, table, write
-from phdtrack import config
+from phdtrack.config.presets import usual_preset
 from phdtrack.detect import make_detector
 from phdtrack.detect.base import Detector
 from phdtrack.detect.change import ChangeDetector
@@ -165,17 +165,8 @@ def work(job: VideoRun) -> dict[str, object]:
         filter_name,
     )
     given = (*given, "--truth", job.path(video.truth)) if video.truth else given
-    if filter_name != "none":
-        # What `phdtrack track` sets for the detector; of a file it does not know what made it.
-        chosen = config.for_detector(config.load(), video.detector).given
-        values = (
-            f"{section}.{name}={value}"
-            for section, one in chosen.items()
-            for name, value in one.items()
-        )
-        given = (*given, *(word for value in values for word in ("--set", value)))
-    if filter_name == "pmb":
-        given = (*given, "--preset", "mot15")
+    # The command does not know which detector has made the boxes of a file.
+    given = (*given, "--preset", usual_preset("box", filter_name, video.detector))
     text = _phdtrack(
         "track",
         job.path(video.source),

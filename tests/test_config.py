@@ -4,18 +4,18 @@ and the nearest name.
 
 from __future__ import annotations
 
-from dataclasses import fields
+import re
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from phdtrack import config
 from phdtrack.cli.show_settings import as_toml, meanings, toml_value
-from phdtrack.config.presets import PRESETS
-from phdtrack.config.registry import FROM_SEQUENCE, SECTIONS, record
+from phdtrack.config.presets import PRESETS, USUAL, preset_values, usual_preset
+from phdtrack.config.registry import SECTIONS, constructor_defaults, record, settable
 from phdtrack.errors import InputError
-from phdtrack.models import UniformBirth
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
@@ -41,14 +41,12 @@ NEEDED = {
 
 # Section, kind and name of every setting there is.
 EVERY = [
-    (section, kind, field.name)
+    (section, kind, name)
     for section, kinds in SECTIONS.items()
     for kind in kinds
-    for field in fields(record(section, kind))
-    if field.name not in FROM_SEQUENCE
-    # Files must be there.
-    and field.name != "file"
-    and kind != "scene"
+    for name in settable(section, kind)
+    # Files must be there; targets before the first frame are places on the ground.
+    if name not in ("file", "initial")
 ]
 
 
@@ -61,7 +59,7 @@ WORDS = {
     "particle": "detection", "given": "fixed", "fixed": "given",
     "continuous": "piecewise", "piecewise": "continuous", "map": "eap", "box": "plane",
     "": "07:30 day", "00:00": "12:30", "similarity": "homography", "linear": "unscented", "joint": "each",
-    "overlap": "distance",
+    "overlap": "distance", "births": "clutter", "clutter": "births",
 }  # fmt: skip
 
 
@@ -138,11 +136,13 @@ def test_numbers_may_begin_with_the_point(typed: str, meant: float):
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_all_that_as_dict_says_is_what_is_built(preset: str):
+def test_as_dict_has_the_values_that_are_built(preset: str):
     said = config.load(preset=preset).as_dict()
     stages = config.build(config.load(preset=preset), SequenceInfo(768, 576, 7.0))
     records = {"motion": stages.model.motion, "sensor": stages.model.sensor, "filter": stages.filter,
                "birth": stages.model.birth, "extract": stages.extractor, "associate": stages.associator}  # fmt: skip
+    if preset.endswith("no-filter"):
+        del records["extract"]
     for section, made in records.items():
         for name, value in said[section].items():
             if name not in ("kind", "initial", "places"):
@@ -173,7 +173,7 @@ def unfit(preset: str, filter_name: str) -> bool:
 @pytest.mark.parametrize(
     ("preset", "filter_name"), [p for p in product(PRESETS, SECTIONS["filter"]) if not unfit(*p)]
 )
-def test_what_settings_prints_is_read_back_to_the_same(preset: str, filter_name: str, tmp_path):
+def test_printed_settings_are_read_back_to_the_same(preset: str, filter_name: str, tmp_path):
     """`phdtrack settings`, the dozen and everything, of every preset with every filter that fits
     it.
     """
@@ -216,27 +216,109 @@ def test_the_last_named_wins(tmp_path):
     assert config.load(path).as_dict()["sensor"]["detection_probability"] == 0.8
 
 
-# ClassSettings
+# Presets
+
+
+# The sections that decide how a preset tracks, and settings of them that only a run decides.
+TRACKING = (
+    "time", "motion", "sensor", "birth", "clutter", "filter", "extract", "associate",
+    "detection_scores", "merged_measurements", "common_motion", "smooth",
+)  # fmt: skip
+OF_THE_RUN = {"history", "output_delay", "threads", "initial"}
+
+
+@pytest.mark.parametrize("preset", [name for name in PRESETS if name != "default"])
+def test_a_preset_is_a_complete_table(preset: str):
+    """Except that one for several filters leaves their own settings to them."""
+    values = preset_values(preset)
+    several = "kind" not in values["filter"]
+    none = values["filter"].get("kind") == "none"
+    for section in TRACKING:
+        if (section == "filter" and several) or (section == "extract" and (several or none)):
+            continue
+        kind = values[section].get("kind", "")
+        assert kind in SECTIONS[section]
+        assert set(settable(section, kind)) - OF_THE_RUN <= set(values[section]), section
+    known = {name for section in values for kind in SECTIONS[section] for name in settable(section, kind)}  # fmt: skip
+    assert {name for section in values.values() for name in section} <= known | {"kind"}
+
+
+@pytest.mark.parametrize(
+    ("tracked", "filter_name"),
+    [(tracked, name) for tracked in USUAL for name in SECTIONS["filter"]],
+)
+def test_the_usual_preset_follows_from_one_table(tracked: str, filter_name: str):
+    motion = tracked.partition(" ")[0]
+    detector = {"box of a background detector": "mog2", "box of another built-in detector": "face"}.get(tracked, "")  # fmt: skip
+    preset = usual_preset(motion, filter_name, detector)
+    assert preset == USUAL[tracked].get(filter_name, USUAL[tracked].get(""))
+    sets = [f"motion.kind={motion}", "camera.region=[-20, -20, 20, 20]"]
+    settings = config.load(sets=sets, filter_name=filter_name, detector=detector)
+    assert settings.preset == settings.as_dict()["preset"] == preset
+    # Named, it has the same values.
+    named = config.load(sets=sets, filter_name=filter_name, preset=preset)
+    assert named.as_dict() == settings.as_dict()
+
+
+def test_a_network_has_the_preset_of_a_file():
+    assert config.load(detector="onnx:yolo.onnx").preset == "default"
+
+
+def test_a_named_preset_holds_for_every_detector(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('preset = "m07"\n', encoding="utf-8")
+    assert config.load(preset="default", detector="change").preset == "default"
+    assert config.load(path, detector="change").preset == "m07"
+    path.write_text("[sensor]\nbox_noise = 0.2\n", encoding="utf-8")
+    assert config.load(path, detector="change").preset == "background"
+
+
+def test_a_preset_of_another_world_is_refused():
+    with pytest.raises(InputError, match=r"preset m09 is for motion\.kind=box, not plane"):
+        config.load(sets=["motion.kind=plane"], preset="m09")
 
 
 @pytest.mark.parametrize("kind", SECTIONS["filter"])
-def test_the_default_has_values_of_its_own_with_each_filter(kind: str):
+def test_a_filter_has_the_values_of_its_usual_preset(kind: str):
     """Built as printed, whatever the filter was before; not in a paper's preset, and never over
-    what was asked for.
+    what the user states.
     """
     usual = (0.14, 0.6) if kind == "pmb" else (0.15, 0.43)
     model = config.build(config.load(), INFO, kind).model
     assert (model.sensor.box_noise, model.clutter.clutter_per_detection) == usual
 
-    def said(*sets: str, preset: str = "") -> tuple[float, float]:
+    def stated(*sets: str, preset: str = "") -> tuple[float, float]:
         found = config.load(sets=sets, preset=preset).as_dict()
         return found["sensor"]["box_noise"], found["clutter"]["clutter_per_detection"]
 
-    assert said(f"filter.kind={kind}") == usual
-    assert said(
+    assert stated(f"filter.kind={kind}") == usual
+    assert stated(
         "sensor.box_noise=0.7", f"filter.kind={kind}", "clutter.clutter_per_detection=0.01"
     ) == (0.7, 0.01)
-    assert said(f"filter.kind={kind}", preset="m07") == (0.15, 1.0)
+    assert stated(f"filter.kind={kind}", preset="m07") == (0.15, 1.0)
+
+
+# Kinds
+
+
+@pytest.mark.parametrize(("first", "other", "shared"), [
+    ("filter.kind=pmb", "filter.kind=mht", ["filter.max_hypotheses=7", "filter.history=4"]),
+    ("filter.kind=particle-phd", "filter.kind=particle-cphd", ["filter.particles_per_target=300"]),
+    ("filter.kind=pmb", "filter.kind=gm-phd", ["extract.merge_iou=0.3", "associate.max_coast=0.7"]),
+    ("motion.kind=box", "motion.kind=point", ["motion.survival_probability=0.5"]),
+])  # fmt: skip
+def test_shared_settings_keep_their_value(first: str, other: str, shared: list[str]):
+    """When another kind is chosen, in one step or later."""
+    section, _, kind = other.replace(".kind=", " ").partition(" ")
+    before = config.load(sets=[first, *shared])
+    for after in (
+        config.load(sets=[*shared, other]),
+        config.overlay(before, {section: {"kind": kind}}),
+    ):
+        for option in shared:
+            place, _, value = option.partition("=")
+            where, _, name = place.partition(".")
+            assert after.as_dict()[where][name] == float(value)
 
 
 def test_of_two_rates_the_one_that_is_named_last_holds():
@@ -256,9 +338,38 @@ def test_of_two_rates_the_one_that_is_named_last_holds():
     assert rates("frame=0") == (0.0, 0.6)
 
 
-def test_another_kind_does_not_inherit_settings():
-    """The preset's birth rate is per detection; that of uniform births is per frame."""
-    kinds = ["motion.kind=point", "birth.kind=uniform"], ["birth.kind=measurement"]
-    other, same = (config.load(sets=sets, preset="m07").as_dict() for sets in kinds)
-    assert other["birth"]["births_per_second"] == UniformBirth((1, 1)).births_per_second
-    assert same["birth"]["births_per_detection"] == PRESETS["m07"]["birth"]["births_per_detection"]
+# How many settings there are
+
+
+def test_at_most_a_hundred_settings_each_varied_somewhere():
+    """By a preset, an experiment, a benchmark or a how-to page."""
+    root = Path(__file__).parents[1]
+    text = "\n".join(
+        path.read_text(encoding="utf-8")
+        for folder in ("experiments", "benchmarks", "docs/how-to")
+        for path in sorted((root / folder).rglob("*"))
+        if path.suffix in (".py", ".md")
+    )
+    names = {
+        (section, name)
+        for section, kinds in SECTIONS.items()
+        for kind in kinds
+        for name in settable(section, kind)
+    }
+    assert len(names) <= 100
+    assert not [pair for pair in sorted(names) if not (in_a_preset(*pair) or in_text(*pair, text))]
+
+
+def in_a_preset(section: str, name: str) -> bool:
+    """Whether a preset has another value than the part's default."""
+    return any(
+        name in values
+        and any(values[name] != constructor_defaults(section, kind).get(name, values[name])
+                for kind in SECTIONS[section])
+        for values in (preset_values(preset).get(section, {}) for preset in PRESETS)
+    )  # fmt: skip
+
+
+def in_text(section: str, name: str, text: str) -> bool:
+    """Whether a setting is named, as a setting or as an argument."""
+    return bool(re.search(rf"\b{section}\.{name}\b|\b{name}=|\"{name}\": ", text))

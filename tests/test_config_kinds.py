@@ -1,4 +1,4 @@
-"""ClassSettings of filters and extractions: which one wins, what it brings along, and what does not go
+"""Kinds of filters and extractions: which one wins, what it brings along, and what does not go
 together.
 """
 
@@ -56,7 +56,7 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     (["motion.kind=point", "birth.kind=measurement"], "does not fit"),
     (["sensor.kind=point"], "does not fit"),
     (["birth.kind=point"], "does not fit"),
-    (["birth.kind=uniform"], "use measurement or scene; it goes with motion.kind=point"),
+    (["birth.kind=uniform"], "use measurement; it goes with motion.kind=point"),
     (["motion.kind=point", "birth.kind=uniform"], "birth.kind=.*point"),
     (["motion.kind=point", "filter.kind=gm-cphd", "birth.kind=uniform"], "birth.kind=.*point"),
     (["filter.kind=particle-cphd", "extract.kind=components"], "use mixture or kmeans"),
@@ -149,9 +149,9 @@ def test_a_filter_that_labels_targets_brings_their_identities():
     settings = config.load(sets=["associate.output_delay=3", "filter.kind=mht"])
     stages = config.build(settings, INFO)
     assert (type(stages.filter), type(stages.extractor)) == (MHT, BestHypothesis)
-    assert stages.associator == Labelled(output_delay=3)
-    graph = config.load(sets=["filter.kind=mht", "associate.kind=graph", "associate.window=1"])
-    assert config.build(graph, INFO).associator == GraphMatching(window=1.0)
+    assert stages.associator == Labelled(output_delay=3, max_coast=0.2, coast_by_evidence=False)
+    graph = config.load(sets=["filter.kind=mht", "associate.kind=graph", "associate.back_dating=1"])
+    assert config.build(graph, INFO).associator == GraphMatching(back_dating=1)
     assert config.build(settings, INFO, "particle-phd").associator == GraphMatching(output_delay=3)
 
 

@@ -30,7 +30,10 @@ MISTAKES = [
     ("motion.acceleration=-1", "greater than or equal to 0"),
     ("motion.scaled_noise=maybe", "valid boolean"),
     ("associate.max_coast=-1", "greater than or equal to 0"),
-    ("associate.window=2", "It goes with associate.kind=graph; here there are min_track_length"),
+    (
+        "associate.back_dating=2",
+        "It goes with associate.kind=graph; here there are min_track_length",
+    ),
     ("associate.min_track_length=2.5", "valid integer"),
     ("associate.min_track_length=0", "greater than or equal to 1"),
     ("filter.gate_probability=0", "greater than 0"),
@@ -39,7 +42,7 @@ MISTAKES = [
         "filter.particles_per_target=500",
         (
             "It goes with filter.kind=particle-phd or particle-cphd; here there are"
-            " existence_threshold"
+            " hypothesis_threshold"
         ),
     ),
     ("clutter.clutter_per_frame=-1", "greater than or equal to 0"),
@@ -84,7 +87,8 @@ def test_options_have_a_section_a_name_and_a_value(option: str):
     ('preset = ["m09"]', "preset"),
     ('[birth]\nkind = ["uniform"]', "kind of birth"),
     ("[birth]\nkind = 3", "kind of birth"),
-    ('[birth]\nkind = "scene"', "needs a value for file"),
+    ('[camera_motion]\nkind = "file"', "needs a value for file"),
+    ("[filter]\ninitial = [[1, 2, 1, 1, 1]]", "places on the ground"),
     ("[tracker]\nx = 1", "section"),
     ("x = 1", "section"),
 ])  # fmt: skip

@@ -1,17 +1,18 @@
-"""Learned scenes as settings: who they fit, and what does not fit them."""
+"""Learned scenes as settings: what they add, and that they change nothing else."""
 
-from dataclasses import replace
+import pickle
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from experiments.common import uniform_density
-from phdtrack import config
+from phdtrack import Tracker, config
 from phdtrack.associate.graph import GraphMatching
 from phdtrack.associate.labels import Labelled
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.cli.options import TrackingOptions
-from phdtrack.cli.show_settings import chosen, scene_settings
+from phdtrack.config.presets import PRESETS, preset_values
 from phdtrack.config.registry import SECTIONS
 from phdtrack.errors import InputError
 from phdtrack.models.scene import SceneBirth, SceneClutter
@@ -20,7 +21,6 @@ from phdtrack.scene import (
     Scene,
     SceneDensity,
     TrackedObjects,
-    read_scene,
     write_scene,
 )
 from phdtrack.types import SequenceInfo
@@ -31,7 +31,15 @@ FOLLOWED = TrackedObjects(
 )
 
 
-def written(path, **changes):
+BOXES = [
+    name for name in PRESETS if preset_values(name).get("motion", {}).get("kind", "box") == "box"
+]
+# Presets and filters, the usual preset of each filter among them.
+CHOICES = list(product(["", *BOXES], SECTIONS["filter"]))
+
+
+def written(path: Path, **changes) -> list[str]:
+    """A scene with births and false alarms, but for the changes; the option that uses it."""
     low = np.zeros(4)
     high = np.array([640.0, 480, 640, 480])
     mean = np.array([[600.0, 50, 20, 20]]).T
@@ -45,13 +53,14 @@ def written(path, **changes):
         "rate": 25.0,
         "source": "street",
         "births": LearnedDensity(0.05, births, 99),
+        "clutter": LearnedDensity(1.5, clutter, 30),
     }
-    write_scene(path, Scene(**(parts | {"clutter": LearnedDensity(1.5, clutter, 30)} | changes)))
-    return ["birth.kind=scene", f"birth.file={path}", "clutter.kind=scene", f"clutter.file={path}"]
+    write_scene(path, Scene(**(parts | changes)))
+    return [f"scene={path}"]
 
 
 @pytest.mark.parametrize("name", ["particle-phd", "gm-phd", "particle-cphd", "gm-cphd", "mht"])
-def test_every_filter_takes_them(tmp_path, name):
+def test_every_filter_uses_a_learned_scene(tmp_path, name):
     stages = config.build(config.load(sets=written(tmp_path / "scene.json")), INFO, name)
     assert type(stages.model.birth) is SceneBirth
     assert type(stages.model.clutter) is SceneClutter
@@ -64,7 +73,7 @@ def test_every_filter_takes_them(tmp_path, name):
     for k in range(6):
         z = np.array([[100.0 + 3 * k, 600], [200, 50], [40, 20], [90, 20]])
         state, info = stages.filter.step(state, z, stages.model, 1.0, rng)
-    # A walker, and what fires where false alarms were marked.
+    # A walker, and a detection where false alarms were marked.
     assert info.clutter_probability[0] < min(0.1, info.clutter_probability[1])
 
 
@@ -72,129 +81,100 @@ def test_every_filter_takes_them(tmp_path, name):
     ("changes", "sets", "words"),
     [
         ({"width": 320}, [], "learned on frames of 320x480, and these are 640x480"),
-        ({"births": None}, [], "births were not learned"),
-        ({"clutter": None}, [], "false alarms were not learned"),
         ({"rate": 10.0}, [], "10 time units a second, and there are 25"),
         ({}, ["motion.kind=plane"], "does not fit motion.kind=plane"),
+        ({}, ['scene.use=["people"]'], "input should be 'births' or 'clutter'"),
     ],
 )
-def test_what_does_not_fit_is_told(tmp_path, changes, sets, words):
+def test_a_scene_that_does_not_fit_is_refused(tmp_path, changes, sets, words):
     with pytest.raises(InputError, match=words):
         config.build(config.load(sets=[*written(tmp_path / "scene.json", **changes), *sets]), INFO)
 
 
-# What is added, and which tracks are held back
+# A scene changes its own part alone
 
 
-@pytest.mark.parametrize("filter_name", SECTIONS["filter"])
-def test_the_shipped_rates_are_added_to_a_scene(tmp_path, filter_name):
-    """As much as is usual with the filter, told and built alike; nothing in a paper's preset, or
-    where so asked.
+@pytest.mark.parametrize(("preset", "filter_name"), CHOICES)
+def test_a_scene_changes_only_what_it_has_learned(tmp_path, preset, filter_name):
+    """Of every filter and preset. What was not learned stays the same to the bit, and settings
+    other than the scene's own keep their values.
     """
-    sets = written(tmp_path / "scene.json", followed=FOLLOWED)
-    plain = config.load(sets=[f"filter.kind={filter_name}"]).as_dict()
-    settings = config.load(sets=[f"filter.kind={filter_name}", *sets])
-    model = config.build(settings, INFO).model
-    for section, rate in (("birth", "births_per_detection"), ("clutter", "clutter_per_detection")):
-        assert (
-            settings.as_dict()[section][rate]
-            == getattr(getattr(model, section), rate)
-            == plain[section][rate]
-            > 0
-        )
-    np.testing.assert_array_equal(model.birth.among.high, FOLLOWED.objects.density.high)
-    sets_alone = [*sets, "birth.births_per_detection=0", "clutter.clutter_per_detection=0"]
-    alone = config.build(config.load(sets=sets_alone), INFO, filter_name).model
-    assert alone.birth.births_per_detection == alone.clutter.clutter_per_detection == 0
-    paper = config.load(preset="m09", sets=sets)
-    assert (
-        paper.as_dict()["birth"]["births_per_detection"]
-        == paper.as_dict()["clutter"]["clutter_per_detection"]
-        == 0
+    path = tmp_path / "scene.json"
+
+    def stages(*sets: str):
+        return config.build(config.load(None, sets, preset, filter_name), INFO)
+
+    plain = stages()
+    nothing = stages(*written(path, births=None, clutter=None, followed=FOLLOWED))
+    assert pickle.dumps(nothing) == pickle.dumps(plain)
+    both = written(path, followed=FOLLOWED)
+    for used, kept in (("births", "clutter"), ("clutter", "birth")):
+        model = stages(*both, f'scene.use=["{used}"]').model
+        assert pickle.dumps(getattr(model, kept)) == pickle.dumps(getattr(plain.model, kept))
+    model = stages(*both).model
+    assert pickle.dumps((model.motion, model.sensor)) == pickle.dumps(
+        (plain.model.motion, plain.model.sensor)
     )
+    assert model.birth.births_per_detection == plain.model.birth.births_per_detection
+    assert model.clutter.clutter_per_detection == plain.model.clutter.clutter_per_detection
+    before, after = (config.load(None, sets, preset, filter_name).as_dict() for sets in ((), both))
+    assert {name for name in before if before[name] != after[name]} == {"scene"}
+
+
+def test_an_empty_scene_gives_the_same_tracks(tmp_path):
+    path = tmp_path / "scene.json"
+    written(path, births=None, clutter=None)
+    rng = np.random.default_rng(2)
+    rows = []
+    for section in ({}, {"scene": path}):
+        rng = np.random.default_rng(2)
+        tracker = Tracker((640, 480), **section)
+        for k in range(12):
+            walkers = np.array([[100.0 + 4 * k, 200, 140 + 4 * k, 300], [400, 150, 440, 250]])
+            tracker.update(walkers + rng.normal(0, 1, (2, 4)))
+        rows.append(tracker.tracks())
+    assert len(rows[0]) > 10
+    assert pickle.dumps(rows[0]) == pickle.dumps(rows[1])
+
+
+def test_births_of_a_scene_follow_its_objects(tmp_path):
+    sets = written(tmp_path / "scene.json", followed=FOLLOWED)
+    model = config.build(config.load(sets=sets), INFO).model
+    np.testing.assert_array_equal(model.birth.among.high, FOLLOWED.objects.density.high)
+
+
+# Tracks that are held back
 
 
 @pytest.mark.parametrize(
     ("name", "kind"), [("pmb", Labelled), ("gm-phd", GraphMatching), ("none", GraphMatching)]
 )
-def test_who_stays_among_false_alarms_is_held_back(tmp_path, name, kind):
+def test_tracks_among_false_alarms_are_rejected(tmp_path, name, kind):
     sets = written(tmp_path / "scene.json", followed=FOLLOWED)
-    vetted = config.build(
+    rejecting = config.build(
         config.load(sets=[*sets, "associate.output_delay=3"]), INFO, name
     ).associator
-    assert isinstance(vetted, FalseTrackRejection)
-    assert isinstance(vetted.associator, kind)
-    assert vetted.associator.output_delay == 3
-    assert (vetted.ratio.clutter.rate, vetted.ratio.tracked.share, vetted.ratio.births.rate) == (
-        1.5,
-        0.1,
-        0.05,
-    )
-    # Births count where they are of the same scene.
-    alone = config.build(config.load(sets=sets[2:]), INFO, name).associator
+    assert isinstance(rejecting, FalseTrackRejection)
+    assert isinstance(rejecting.associator, kind)
+    assert rejecting.associator.output_delay == 3
+    ratio = rejecting.ratio
+    assert (ratio.clutter.rate, ratio.tracked.share, ratio.births.rate) == (1.5, 0.1, 0.05)
+    # Births count if they are used.
+    alone = config.build(config.load(sets=[*sets, 'scene.use=["clutter"]']), INFO, name).associator
     assert isinstance(alone, FalseTrackRejection)
     assert alone.ratio.births is None
-    other = written(tmp_path / "other.json", followed=FOLLOWED)
-    assert (
-        config.build(config.load(sets=[*other[:2], *sets[2:]]), INFO, name).associator.ratio.births
-        is None
-    )
-    # Nobody is, where that is said, nobody has looked, or false alarms are not the scene's.
+    # No track is, if nobody has looked, or false alarms are not the scene's.
     before = written(tmp_path / "before.json")
-    for given in ([*sets, "clutter.reject_false_tracks=false"], before, sets[:2]):
+    for given in (before, [*sets, 'scene.use=["births"]']):
         assert isinstance(config.build(config.load(sets=given), INFO, name).associator, kind)
 
 
-# --scene
-
-
-def track(path, *sets, preset=""):
-    return chosen(TrackingOptions(sets=list(sets), preset=preset), scene_settings(path))
-
-
-def test_a_scene_is_taken_whole_and_options_change_it(tmp_path):
+def test_a_scene_is_named_on_top_of_a_file(tmp_path):
     path = tmp_path / "my yard.json"
-    written(path, followed=FOLLOWED)
-    told = track(path).as_dict()
-    assert {name: told[name]["kind"] for name in ("birth", "clutter")} == {
-        "birth": "scene",
-        "clutter": "scene",
-    }
-    assert (told["birth"]["file"], told["clutter"]["reject_false_tracks"]) == (str(path), True)
-    told = track(
-        path, "clutter.reject_false_tracks=false", "birth.births_per_detection=0"
-    ).as_dict()
-    assert (told["clutter"]["reject_false_tracks"], told["birth"]["births_per_detection"]) == (
-        False,
-        0,
-    )
-    assert (
-        track(path, "birth.kind=measurement").as_dict()["birth"]["births_per_detection"] == 0.0125
-    ), "the kind that was chosen"
-    assert track(path, "birth.kind=measurement").as_dict()["clutter"]["kind"] == "scene"
-    with pytest.raises(InputError, match=r"unknown setting of \[clutter\]: clutter_per_frame"):
-        track(path, "clutter.clutter_per_frame=2")
-
-
-def test_what_a_scene_has_not_taught_goes_with_what_it_has(tmp_path):
-    """As shipped, the same at every scale, where that is laid beside the other too; where nothing
-    is, over the frame.
-    """
-    births = tmp_path / "births.json"
-    alarms = tmp_path / "alarms.json"
-    written(births)
-    scene = read_scene(births)
-    write_scene(births, replace(scene, clutter=None))
-    write_scene(alarms, replace(scene, births=None))
-    assert track(births).as_dict()["clutter"] == config.load().as_dict()["clutter"]
-    assert track(alarms).as_dict()["birth"] == config.load().as_dict()["birth"]
-    assert track(births, preset="m07").as_dict()["clutter"]["clutter_per_frame"] == 1.0
-    assert track(alarms, preset="m07").as_dict()["birth"]["births_per_second"] == 0.25
-    assert (
-        track(births, "birth.births_per_detection=0").as_dict()["clutter"]["clutter_per_frame"]
-        == 0.6
-    )
-    given = track(
-        births, "birth.births_per_detection=0", "clutter.clutter_per_detection=1"
-    ).as_dict()["clutter"]
-    assert (given["clutter_per_frame"], given["clutter_per_detection"]) == (0.0, 1.0)
+    written(path)
+    file = tmp_path / "mine.toml"
+    file.write_text(f'scene = "{path}"\n[birth]\nbirths_per_detection = 0\n', encoding="utf-8")
+    found = config.load(file).as_dict()
+    assert found["scene"] == {"file": str(path), "use": ("births", "clutter")}
+    assert found["birth"]["births_per_detection"] == 0
+    assert config.load(sets=[f"scene={path}"]).as_dict()["scene"]["file"] == str(path)

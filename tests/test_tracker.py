@@ -19,10 +19,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack import Tracker, config, pipeline
-from phdtrack.config.presets import PRESETS
+from phdtrack.associate.labels import Labelled
+from phdtrack.config.presets import PRESETS, preset_values
 from phdtrack.errors import InputError
-from phdtrack.filters import NoFilter
+from phdtrack.filters import PMB, NoFilter
 from phdtrack.filters.none import Raw
+from phdtrack.filters.pmb import BestBernoullis
+from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth
+from phdtrack.models.common_motion import CommonMotion
+from phdtrack.models.detection_scores import DetectionScores
+from phdtrack.protocols import Model, Stages
+from phdtrack.smooth.online import DetectionShare
+from phdtrack.smooth.smoothing import Smoothing
 from phdtrack.types import Detections, SequenceInfo
 from tracker_cases import PARTICLES, SIZE, boxes, equal, feed, street, tracker_of
 
@@ -203,10 +211,8 @@ def settled(count: int, kind: str) -> float:
     Of a PHD filter 1/(1 − p_M p_S) of each, as what a miss would leave adds up; of one with labels
     one of each.
     """
-    missed = (
-        1 - PRESETS["default"]["sensor"]["detection_probability"] if kind == "particle-phd" else 0.0
-    )
-    return count / (1 - missed * PRESETS["default"]["motion"]["survival_probability"] ** (1 / 25))
+    missed = 1 - BoxSensor().detection_probability if kind == "particle-phd" else 0.0
+    return count / (1 - missed * BoxMotion().survival_probability ** (1 / 25))
 
 
 @KINDS
@@ -398,8 +404,13 @@ GIVEN["d14"] = {
 }
 
 
-# That of the ground plane is tested where there is a camera.
-@pytest.mark.parametrize("preset", sorted({*PRESETS, *GIVEN} - {"e13"}))
+# Those of the ground plane are tested where there is a camera, those of points with d14.
+WITHOUT_BOXES = {
+    name for name in PRESETS if preset_values(name).get("motion", {}).get("kind", "box") != "box"
+} - {"d14"}
+
+
+@pytest.mark.parametrize("preset", sorted({*PRESETS, *GIVEN} - WITHOUT_BOXES))
 def test_every_preset_finds_two_people(preset: str):
     """And the default's with other filters. D14's newborn are anywhere: it takes a while until one
     is near enough.
@@ -533,3 +544,34 @@ def test_after_it_no_kernel_is_compiled_or_loaded(kind: str):
 
     assert loads("cold") > 20
     assert loads("warm") == 0
+
+
+# One layer of defaults
+
+
+def test_default_parts_give_the_tracks_of_the_default():
+    """What `Tracker` builds from settings is what its parts are when nothing is said."""
+    info = SequenceInfo(*SIZE, 25.0)
+    size = (float(info.width), float(info.height))
+    model = Model(
+        BoxMotion(frame_size=size),
+        BoxSensor(),
+        MeasurementBirth(frame_size=size),
+        BoxClutter(frame_size=size),
+    )
+    parts = Stages(
+        model,
+        PMB(),
+        BestBernoullis(),
+        Labelled(),
+        DetectionScores(),
+        smoother=Smoothing(frame_size=size),
+        online=DetectionShare(),
+        camera=CommonMotion(frame_size=size),
+    )
+    rows = []
+    for tracker in (Tracker(SIZE), Tracker(stages=parts)):
+        online = [tracker.update(found) for found in street()]
+        rows.append([*online, tracker.flush(), tracker.tracks()])
+    assert sum(map(len, rows[0])) > 100
+    assert all(equal(one, other) for one, other in zip(*rows, strict=True))

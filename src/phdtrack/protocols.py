@@ -474,7 +474,7 @@ class Stages(Generic[S, A]):
     smoother: Smoother | None = None
     online: OnlineBoxes | None = None
     camera: CameraEstimator[Any] | None = None
-    longest_interval: float = 0.0
+    longest_interval: float = 0.2
 
 
 AnyStages = Stages[Any, Any]

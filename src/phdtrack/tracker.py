@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
+from phdtrack.associate.history import HISTORY
 from phdtrack.detect.convert import LeftOut, as_detections, doubtful
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
@@ -35,8 +36,6 @@ _LOG = logging.getLogger(__name__)
 # Of a saved state: what is in it, and its format, which changes when a record of the state does.
 _SAVED = {"format", "dim", "frame_size", "state", "lanes", "left_out"}
 FORMAT = 21
-# Seconds that are remembered where nothing is said of it.
-HISTORY = 600.0
 
 
 class SavedBoxes(NamedTuple):
@@ -51,8 +50,7 @@ class Tracker:
 
     Memory is bounded: the last ten minutes are remembered, some 100 MB with ten targets at 25 fps,
     and `tracks` goes back so far and a little more. `FinalTracks` gives the corrected rows of a
-    loop without end. ``associate={"history": S}`` remembers S seconds, and 0 everything, as do
-    ``stages`` of one's own that do not say otherwise.
+    loop without end. ``associate={"history": S}`` remembers S seconds, and 0 everything.
 
     Parameters
     ----------
@@ -62,8 +60,7 @@ class Tracker:
         tracks.
     filter : ``pmb``, ``gm-phd``, ``particle-phd``, ``gm-cphd``, ``particle-cphd``, ``mht``,
         ``mcmc``, or ``none`` for the association alone; or the settings of that section.
-    preset : ``default``, ``mot15`` (the default of earlier versions), ``m07``, ``m09``, ``fv``,
-        ``m09-mht``, ``d14``, or on the ground plane ``e13``.
+    preset : a name of `config.presets.PRESETS`; empty for the usual one with this filter.
     settings : a TOML file with settings.
     stages : one's own model, filter, extractor and associator, instead of all of the above but fps
         and seed; `ClassSettings` where classes have stages of their own.
@@ -109,8 +106,6 @@ class Tracker:
                 sections["filter"] = {"kind": filter} if isinstance(filter, str) else filter
             loaded = config.overlay(config.load(path, preset=preset), sections, "Tracker")
             self._forgets = "history" not in loaded.given.get("associate", {})
-            if self._forgets:
-                loaded = config.overlay(loaded, {"associate": {"history": HISTORY}}, "Tracker")
             width, height = _size(frame_size)
             self._frame_size = f"{width}x{height}"
             stages = config.build_classes(loaded, SequenceInfo(width, height, float(fps)))

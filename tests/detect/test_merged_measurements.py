@@ -185,7 +185,7 @@ def test_rows_refer_to_the_merged_detection() -> None:
         ("change", (), "explained"),
         ("mog2", (), "explained"),
         ("person", (), "none"),
-        ("file", (), "none"),
+        ("", (), "none"),
         ("change", ("merged_measurements.kind=none",), "none"),
         ("change", ("filter.kind=none",), "none"),
         ("change", ("motion.kind=plane",), "none"),
@@ -194,6 +194,4 @@ def test_rows_refer_to_the_merged_detection() -> None:
 def test_background_detectors_use_merged_measurements(
     detector: str, sets: tuple[str, ...], kind: str
 ) -> None:
-    assert (
-        config.for_detector(config.load(None, sets), detector).kind("merged_measurements") == kind
-    )
+    assert config.load(None, sets, detector=detector).kind("merged_measurements") == kind

@@ -75,7 +75,7 @@ def test_the_number_of_newborn_follows_what_is_predicted(rng):
     np.testing.assert_array_equal(np.bincount(nearest, minlength=3), [1000, 251, 0])
     assert (
         len(
-            MeasurementBirth(particles=1000, frame_size=FRAME).sample(
+            MeasurementBirth(births_per_detection=0.0, frame_size=FRAME).sample(
                 z, np.zeros(3), sensor, 1.0, rng
             )
         )
@@ -116,11 +116,11 @@ def test_nothing_is_born_without_extent(sensor: BoxSensor, rng):
             assert np.isfinite(born.weight).all()
 
 
-def test_births_over_the_image_need_the_size_of_the_frame_and_are_not_also_around_detections(rng):
+def test_births_over_the_image_need_the_frame_size(rng):
     with pytest.raises(InputError, match="frame-size"):
         MeasurementBirth(0.25).sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)
-    with pytest.raises(InputError, match="not both"):
-        MeasurementBirth(0.25, 0.25)
+    # They replace those around detections.
+    assert MeasurementBirth(0.25, 0.25).births_per_detection == 0
 
 
 def test_fixed_births(rng):

@@ -25,7 +25,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.associate.history import History, Moment, Path, measurements, open_links, rows_of
+from phdtrack.associate.history import (
+    HISTORY,
+    History,
+    Moment,
+    Path,
+    measurements,
+    open_links,
+    rows_of,
+)
 from phdtrack.errors import (
     Checked,
     Count,
@@ -154,7 +162,7 @@ class GraphMatching(Checked):
     max_coast: NonNegative = 0.2
     bridge_gaps: bool = True
     back_dating: Count = 5
-    history: NonNegative = 0.0
+    history: NonNegative = HISTORY
 
     def start(self) -> GraphState:
         """Nothing seen."""

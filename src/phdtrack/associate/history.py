@@ -14,6 +14,9 @@ from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory, Tracks
 
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+# Seconds of the filter's time that are remembered by default, so that memory stays bounded: some
+# 100 MB with ten targets at 25 fps.
+HISTORY = 600.0
 # Moments in a chunk: adding a moment copies references to less than two chunks and to the chunks
 # before.
 CHUNK = 32

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh, to_xyxy
-from phdtrack.associate.history import NO_LINKS, History, Moment, measurements, rows_of
+from phdtrack.associate.history import HISTORY, NO_LINKS, History, Moment, measurements, rows_of
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
 from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning
 from phdtrack.models.warp import warp_states
@@ -155,10 +155,10 @@ class Labelled(Checked):
 
     min_track_length: PositiveCount = 5
     output_delay: Count = 0
-    max_coast: NonNegative = 0.2
-    coast_by_evidence: bool = False
+    max_coast: NonNegative = 0.05
+    coast_by_evidence: bool = True
     bridge_gaps: bool = True
-    history: NonNegative = 0.0
+    history: NonNegative = HISTORY
 
     def start(self) -> LabelledState:
         """Nothing seen."""

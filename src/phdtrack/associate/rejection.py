@@ -56,7 +56,7 @@ class FalseTrackRejection(Checked, Generic[A]):
 
     associator: Associator[A]
     ratio: FalseAlarmRatio
-    immediate_confirmation: NonNegative = 0.0
+    immediate_confirmation: NonNegative = 0.1
     min_track_length: PositiveCount = 1
 
     def start(self) -> RejectionState[A]:

@@ -43,9 +43,7 @@ from phdtrack.types import SequenceInfo
 from phdtrack.video.live_sources import LiveSource, check_address, named
 
 Names = Mapping[int, str] | None
-# Seconds that are remembered of tracks; that all cameras may take to end; lines that may wait for a
-# slow reader.
-_REMEMBERED = 60.0
+# Seconds that all cameras may take to end; lines that may wait for a slow reader.
 _ENDING = 1.5
 _LINES = 10_000
 # Settings that cannot change while it runs, besides the kind of each part: what was learned or is
@@ -188,12 +186,8 @@ class Maker:
         """Those of `phdtrack track`; the past is forgotten. Raises `InputError` where they cannot
         be used.
         """
-        found = config.for_detector(
-            chosen(self.options, self.first, detector=self.detector), self.detector
-        )
-        if found.build("associate").history == 0:
-            found = config.overlay(found, {"associate": {"history": _REMEMBERED}}, "phdtrack live")
-        return found
+        found = chosen(self.options, self.first, detector=self.detector)
+        return config.for_run(found, endless=True)
 
     def looking(self, found: Settings, max_width: int) -> Detector:
         """A detector that has seen nothing yet."""

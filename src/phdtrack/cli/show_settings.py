@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
@@ -33,68 +34,51 @@ from phdtrack.types import F8, Detections, SequenceInfo
 # user is warned.
 _TRIED = 25
 _SLOW = 5
-# The settings to know, besides preset, scene and filter.
+# The ten settings that people need first, besides preset and scene: of two rates the one that holds.
 MAIN = {
-    "motion": ("acceleration", "survival_probability"),
+    "motion": ("acceleration", "noise_variance", "survival_probability"),
     "sensor": ("detection_probability", "box_noise"),
     "birth": ("births_per_second", "births_per_detection"),
     "clutter": ("clutter_per_frame", "clutter_per_detection"),
-    "associate": ("min_track_length", "max_coast", "output_delay"),
     "filter": ("kind",),
+    "associate": ("min_track_length", "max_coast", "output_delay"),
 }
+_RATES = {name for section in ("birth", "clutter") for name in MAIN[section]}
 
 
 def chosen(options: TrackingOptions, first: Sequence[str] = (), *, detector: str = "") -> Settings:
-    """The settings: those of preset and file, then of ``first``, then of the options, each in place
-    of those before.
+    """The settings of the options: those of preset and file, then of ``first``, then of the
+    options, each in place of those before.
 
-    ``detector`` is its name, if one of this package looks (`usual_preset`). A network's boxes
-    (onnx:FILE) are as a file's.
+    ``detector`` is the name of the detector that makes the boxes, empty for boxes of a file.
     """
     sets = [*first, *(options.sets or ()), *only_classes(options.classes)]
-    settings = load(options.config, sets, options.preset, options.filter_name)
-    if detector and ":" not in detector and options.config is None:
-        settings = load(None, sets, usual_preset(settings, options.preset), options.filter_name)
+    settings = load(options.config, sets, options.preset, options.filter_name, detector)
     if options.max_detections is not None:
         settings = overlay(
             settings, {"limits": {"max_detections": options.max_detections}}, "--max-detections"
         )
     if options.threads is None:
         return settings
-    # Filter and extraction, where they can use more than one.
-    sharing = [
-        name
-        for name in ("filter", "extract")
-        if "threads" in settable(name, settings.kind(name), "")
+    # Filter and extraction, if they can use more than one.
+    parallel = [
+        name for name in ("filter", "extract") if "threads" in settable(name, settings.kind(name))
     ]
-    return overlay(settings, {name: {"threads": options.threads} for name in sharing}, "--threads")
-
-
-def usual_preset(settings: Settings, preset: str) -> str:
-    """The preset for the boxes of this package's own detectors: ``preset`` where one was named,
-    else ``mot15``.
-
-    It was chosen on boxes as noisy as theirs, and without scores. On seven pairs of video and
-    detector it is ahead of the default in MOTA on five and in IDF1 on six (docs/results/videos.md).
-    Other filters, and the ground, keep their own.
-    """
-    usual = settings.kind("filter") == "pmb" and settings.kind("motion") == "box"
-    return preset or ("mot15" if usual else "")
+    return overlay(settings, {name: {"threads": options.threads} for name in parallel}, "--threads")
 
 
 def only_classes(text: str) -> list[str]:
-    """What ``--classes`` stands for, as ``--set`` has it."""
+    """The settings that ``--classes`` stands for, as ``--set`` takes them."""
     if text:
         return [f"classes.only={json.dumps([word.strip() for word in text.split(',')])}"]
     return []
 
 
 def scene_settings(scene: Path | None, camera_motion: str = "") -> list[str]:
-    """What the options of a scene and of a moving camera stand for, as ``--set`` has it."""
-    if scene is None:
-        sets = []
-    else:
-        sets = [f"scene={scene}"]
+    """The settings that a learned scene and a moving camera stand for, as ``--set`` takes them."""
+    sets = []
+    if scene is not None:
+        sets.append(f"scene={scene}")
     if camera_motion in ("none", "flow"):
         sets.append(f"camera_motion.kind={camera_motion}")
     elif camera_motion:
@@ -109,13 +93,13 @@ def settings(
     config: given.Config = None,
     sets: given.Sets = None,
     everything: Annotated[
-        bool, typer.Option("--all", help="Every setting, not only the dozen to know.")
+        bool, typer.Option("--all", help="Every setting, not only the ten to know first.")
     ] = False,
 ) -> None:
     """Print settings as TOML, with units and meaning, for --config to read back.
 
     Without options these are the defaults. A preset is a complete set of values; --config and --set
-    put others in place.
+    replace some of them.
     """
     found = load(config, sets or (), preset, filter_name)
     output.say(as_toml(found, everything=everything))
@@ -123,29 +107,31 @@ def settings(
 
 
 def as_toml(found: Settings, *, everything: bool) -> str:
-    """The settings as a TOML file; all of them, or kinds and the dozen to know with what differs
-    from the preset.
+    """The settings as a TOML file; all of them, or kinds and the ten to know with what differs from
+    the preset.
     """
-    names = ", ".join(PRESETS)
-    lines = [
-        f'preset = "{found.preset}"  # {names}',
-        '# scene = "FILE"  # what `phdtrack learn` has learned of this scene',
-    ]
+    presets = textwrap.wrap(f"Presets: {', '.join(PRESETS)}.", 98, break_on_hyphens=False)
+    out = [*(f"# {line}" for line in presets), f'preset = "{found.preset}"']
     for section, values in found.as_dict().items():
         if section == "preset":
             continue
-        said = {*MAIN.get(section, ()), *found.given.get(section, {})}
-        if found.given.get(section):
-            said.add("kind")
-        meaning = meanings(record(section, found.kind(section))) | {
-            "kind": ", ".join(SECTIONS[section])
-        }
-        shown = {name: value for name, value in values.items() if everything or name in said}
-        lines += ["", f"[{section}]"] if shown else []
+        stated = found.given.get(section, {})
+        shown = dict(values)
+        if not everything:
+            first = {
+                name for name in MAIN.get(section, ()) if name not in _RATES or values.get(name)
+            }
+            names = {*first, *stated, *(["kind"] if stated else [])}
+            shown = {name: value for name, value in values.items() if name in names}
+        if not shown:
+            continue
+        meaning = meanings(record(section, found.kind(section)))
+        meaning["kind"] = ", ".join(SECTIONS[section])
+        out += ["", f"[{section}]"]
         for name, value in shown.items():
-            words = meaning.get(name, "")
-            lines.append(f"{name} = {toml_value(value)}" + (f"  # {words}" if words else ""))
-    return "\n".join(lines)
+            words = f"  # {meaning[name]}" if name in meaning else ""
+            out.append(f"{name} = {toml_value(value)}{words}")
+    return "\n".join(out)
 
 
 def toml_value(value: Any) -> str:

@@ -32,11 +32,6 @@ from phdtrack.run.inputs import frame_range, open_inputs, write_detected
 from phdtrack.run.observers import CameraObserver, mover_of
 from phdtrack.run.video import Job, about, run
 
-# Seconds that a tracker remembers of a camera. Its corrected rows are final after half a minute and
-# are made every half minute, so that each has half a minute of its past at least, and is smoothed
-# three times.
-REMEMBERED = 90.0
-
 
 def track(
     source: SourceOptions,
@@ -134,7 +129,7 @@ def prepare(
     else:
         truth = read_truth(options.truth)
     if source.detections is None:
-        settings = config.for_detector(settings, source.observed_by)
+        settings = replace(settings, detector=source.observed_by)
     if truth is None:
         last = 0
     else:
@@ -150,8 +145,7 @@ def prepare(
     motion = settings.values("camera_motion").get("file")
     files = (source.source, source.detections, source.mask, options.truth, options.config, motion)
     inputs = replace(inputs, files=files)
-    if not inputs.again and settings.build("associate").history == 0:
-        settings = config.overlay(settings, {"associate": {"history": REMEMBERED}}, "a camera")
+    settings = config.for_run(settings, endless=not inputs.again)
     kinds = config.build_classes(settings, inputs.info, inputs.names, inputs.classes, moving=True)
     if truth is not None and frames:
         counts = (truth.frame >= inputs.source.first) & (

@@ -61,7 +61,7 @@ DETECTIONS = "detections.csv"
 # Packages on which no result depends, and sections of the settings on which no track depends; the
 # detector's are among what decides the detections.
 _NO_RESULT = ("cli", "label", "report", "groups")
-_NO_TRACK = ("detector", "groups", "contours", "life_cycle", "encounters")
+_NO_TRACK = ("detector", "groups", "contours", "encounters")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -412,7 +412,7 @@ def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float, float | Non
         detector = run.case.detections
     else:
         detector = ""
-    settings = config.for_detector(run.method.settings, detector)
+    settings = config.for_run(replace(run.method.settings, detector=detector), endless=False)
     table = given.table
     kinds = config.build_classes(
         settings, given.info, table.names, np.unique(table.detections.class_id).tolist()

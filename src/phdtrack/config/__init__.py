@@ -2,16 +2,16 @@
 name.
 """
 
-from phdtrack.config.build import build, build_groups, for_detector, ground_model
+from phdtrack.config.build import build, build_groups, ground_model
 from phdtrack.config.class_settings import build_classes
-from phdtrack.config.settings import Settings, load, overlay
+from phdtrack.config.settings import Settings, for_run, load, overlay
 
 __all__ = [
     "Settings",
     "build",
     "build_classes",
     "build_groups",
-    "for_detector",
+    "for_run",
     "ground_model",
     "load",
     "overlay",

@@ -59,7 +59,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.arrays import GATE, chi2_quantile
+from phdtrack.arrays import chi2_quantile
 from phdtrack.errors import (
     Checked,
     InputError,
@@ -173,18 +173,18 @@ class PMB(Checked, Filter[Bernoullis]):
     hypothesis_threshold: Share = 0.01
     max_hypotheses: PositiveCount = 10
     merge_distance: NonNegative = 0.1
-    gate_probability: Share = GATE
+    gate_probability: Share = 0.9999999
     transform: Transform = "linear"
-    mean_visible_time: NonNegative = 2.0
-    mean_occluded_time: Positive = 0.4
-    static_clutter_prior: Probability = 0.05
-    static_clutter_detection_probability: Probability = 0.5
-    lasting_clutter_prior: Probability = 0.0
+    mean_visible_time: NonNegative = 5.0
+    mean_occluded_time: Positive = 0.3
+    static_clutter_prior: Probability = 0.1
+    static_clutter_detection_probability: Probability = 0.3
+    lasting_clutter_prior: Probability = 0.1
     history: PositiveCount = 10
-    noise_freedom: NonNegative = 0.0
+    noise_freedom: NonNegative = 8.0
     noise_memory: Positive = 4.5
-    acceleration_factors: tuple[Positive, ...] = (1.0,)
-    clutter_decay: NonNegative = 0.0
+    acceleration_factors: tuple[Positive, ...] = (1.0, 3.1623, 10.0)
+    clutter_decay: NonNegative = 0.5
     initial: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
@@ -376,7 +376,7 @@ class BestBernoullis(Checked):
     """
 
     min_weight: Share = 0.5
-    merge_iou: Share = 0.5
+    merge_iou: Share = 0.8
 
     def extract(self, state: Bernoullis, z: F8, model: Model) -> Estimates:
         """The best hypothesis of each target, by label; their weight is the probability that the

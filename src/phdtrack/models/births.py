@@ -28,7 +28,6 @@ from phdtrack.models.volumes import (
     inside,
     local_area,
     local_volume,
-    one_rate,
 )
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, GaussianMixture, Particles
@@ -148,7 +147,9 @@ class _AroundDetections(abc.ABC):
 
     def __post_init__(self) -> None:
         check(self)
-        one_rate((self.births_per_second, self.births_per_detection), type(self).__name__)
+        if self.births_per_second and self.births_per_detection:
+            # Uniform births replace those around each detection.
+            object.__setattr__(self, "births_per_detection", 0.0)
 
     @property
     def births_per_detection(self) -> float:
@@ -192,15 +193,15 @@ class MeasurementBirth(_AroundDetections):
     Parameters
     ----------
     births_per_second : expected births per second, uniform over the image.
-    births_per_detection : instead, expected births per second in the neighbourhood of a box (see
-        `models.volumes`).
+    births_per_detection : expected births per second in the neighbourhood of a box (see
+        `models.volumes`), if ``births_per_second`` is 0.
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
     frame_size : the image's width and height in pixels, needed for births uniform over it.
     volume : of positions and sizes over which births are uniform, pixel⁴; 0: all of the frame's.
     """
 
     births_per_second: NonNegative = 0.0
-    births_per_detection: NonNegative = 0.0
+    births_per_detection: NonNegative = 0.0125
     particles: PositiveCount = 1000
     frame_size: tuple[float, float] = (0.0, 0.0)
     volume: NonNegative = 0.0
@@ -245,15 +246,15 @@ class PlaneBirth(_AroundDetections):
     Parameters
     ----------
     births_per_second : expected births per second, uniform over the region.
-    births_per_detection : instead, expected births per second in the ellipse of a detection's noise
-        (see `models.volumes`).
+    births_per_detection : expected births per second in the ellipse of a detection's noise (see
+        `models.volumes`), if ``births_per_second`` is 0.
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
     borders : left, low, right and high border of the region in metres, needed for births uniform
         over it.
     """
 
     births_per_second: NonNegative = 0.0
-    births_per_detection: NonNegative = 0.25
+    births_per_detection: NonNegative = 0.05
     particles: PositiveCount = 500
     borders: Region = EVERYWHERE
 

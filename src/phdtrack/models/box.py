@@ -84,20 +84,20 @@ class BoxSensor(Checked):
     scaling : what the deviations follow, see above.
     fixed_noise : deviations of position and of size in pixels, for ``scaling="fixed"``.
     birth_speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time
-        unit. No paper gives it: the default 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk
-        for a standing person.
+        unit. No paper gives it; 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk for a
+        standing person.
     birth_speed_pixels : the same in pixels per time unit, for ``scaling="fixed"``: M09's initial
         velocity variance of 200 is read as the amplitude's, which is 100 along each axis.
     gate_probability : part of the detections of a target that its gate holds; detections touch no
         particles beyond. 1: no gate.
     """
 
-    detection_probability: Probability = 0.95
-    box_noise: Positive = 0.15
+    detection_probability: Probability = 0.79
+    box_noise: Positive = 0.14
     min_noise: NonNegative = 1.0
     scaling: Scaling = "particle"
     fixed_noise: tuple[Positive, Positive] = (3.0**0.5, 6.0**0.5)
-    birth_speed: NonNegative = 0.06
+    birth_speed: NonNegative = 0.13
     birth_speed_pixels: NonNegative = 200.0**0.5
     gate_probability: Share = GATE
     occlusion: ClassVar[bool] = False
@@ -274,13 +274,13 @@ class BoxMotion(Checked):
         not have had the right velocity [G93].
     """
 
-    acceleration: NonNegative = 0.03
-    size_noise: NonNegative = 0.1
-    survival_probability: Probability = 0.99**25
+    acceleration: NonNegative = 0.005
+    size_noise: NonNegative = 0.11
+    survival_probability: Probability = 0.997**25
     scaled_noise: bool = True
     min_size: Positive = 1.0
     frame_size: tuple[float, float] = (0.0, 0.0)
-    roughening: NonNegative = 0.0
+    roughening: NonNegative = 0.005
     dim: ClassVar[int] = 6
 
     def p_survive(self, x: F8, seconds: float) -> F8:

@@ -14,7 +14,6 @@ from phdtrack.models.volumes import (
     image_volume,
     local_area,
     local_volume,
-    one_rate,
 )
 from phdtrack.protocols import Clutter
 from phdtrack.types import F8
@@ -49,20 +48,23 @@ class BoxClutter:
     ----------
     clutter_per_detection : expected false alarms in the neighbourhood of a box: ±1 box in position,
         0.5 to 1.5 in size.
-    clutter_per_frame : instead, expected false alarms per frame, anywhere in the image.
+    clutter_per_frame : expected false alarms per frame, anywhere in the image, which replace those
+        around each detection if it is not 0.
     frame_size : the image's width and height in pixels, needed for false alarms anywhere.
     volume : of positions and sizes over which false alarms anywhere are uniform, pixel⁴; 0: all of
         the frame's.
     """
 
-    clutter_per_detection: NonNegative = 0.0
+    clutter_per_detection: NonNegative = 0.6
     clutter_per_frame: NonNegative = 0.0
     frame_size: tuple[float, float] = (0.0, 0.0)
     volume: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
-        one_rate((self.clutter_per_frame, self.clutter_per_detection), "BoxClutter")
+        if self.clutter_per_frame and self.clutter_per_detection:
+            # Uniform false alarms replace those around each detection.
+            object.__setattr__(self, "clutter_per_detection", 0.0)
 
     def intensity(self, z: F8) -> F8:
         """κ(z), per frame and pixel⁴."""
@@ -81,20 +83,23 @@ class PlaneClutter:
     Parameters
     ----------
     clutter_per_detection : expected false alarms in the ellipse of a detection's noise.
-    clutter_per_frame : instead, expected false alarms per frame, anywhere in the region.
+    clutter_per_frame : expected false alarms per frame, anywhere in the region, which replace those
+        around each detection if it is not 0.
     density : false alarms per frame and m², which replaces the other two where it is not 0.
     borders : left, low, right and high border of the region in metres, needed for false alarms
         anywhere in it.
     """
 
-    clutter_per_detection: NonNegative = 0.3
+    clutter_per_detection: NonNegative = 0.6
     clutter_per_frame: NonNegative = 0.0
     density: NonNegative = 0.0
     borders: Region = EVERYWHERE
 
     def __post_init__(self) -> None:
         check(self)
-        one_rate((self.clutter_per_frame, self.clutter_per_detection), "PlaneClutter")
+        if self.clutter_per_frame and self.clutter_per_detection:
+            # Uniform false alarms replace those around each detection.
+            object.__setattr__(self, "clutter_per_detection", 0.0)
 
     def intensity(self, z: F8) -> F8:
         """κ(z), per frame and m²."""

@@ -277,6 +277,6 @@ def refuse_standing(model: Model) -> None:
     camera leaves behind.
     """
     if isinstance(model.birth, FixedBirth | SceneBirth):
-        raise not_standing("where targets appear (birth.kind=places or scene)")
+        raise not_standing("where targets appear (birth.kind=places, or a learned scene)")
     if isinstance(model.clutter, SceneClutter):
-        raise not_standing("where false alarms are (clutter.kind=scene)")
+        raise not_standing("where false alarms are (a learned scene)")

@@ -30,19 +30,6 @@ REACH = 1.0
 SIZES = (0.5, 1.5)
 
 
-def one_rate(rates: tuple[float, float], where: str) -> None:
-    """Raise `InputError` where both rates are above 0: a density is uniform or the same at every
-    scale.
-    """
-    everywhere, each = rates
-    if everywhere > 0 and each > 0:
-        problem = (
-            f"expected a rate everywhere or around each detection, not both, got {everywhere:g} and"
-            f" {each:g}"
-        )
-        raise InputError(problem, where=where, cure="Set one of the two to 0")
-
-
 def image_area(frame_size: tuple[float, float]) -> float:
     """All positions in the frame, WH pixel²; `InputError` where the frame has no size."""
     width, height = frame_size

@@ -52,8 +52,8 @@ class Smoothing:
 
     stitching: bool = True
     smoothing: bool = True
-    noise_by_track: bool = False
-    detection_share: bool = False
+    noise_by_track: bool = True
+    detection_share: bool = True
     mean_occluded_time: Positive = 2.0
     max_gap: NonNegative = 6.0
     max_overlap_time: NonNegative = 4.0
