@@ -195,7 +195,9 @@ def _model(scene: Counting, p_detect: float, clutter: float, laws: Laws) -> tupl
     of the others.
     """
     size = (float(scene.width), float(scene.height))
-    motion = BoxMotion(scene.sd_velocity, scene.sd_size, scene.p_survive**25, min_size=1e-3)
+    motion = BoxMotion(
+        scene.sd_velocity, scene.sd_size, scene.p_survive**25, min_size=1e-3, roughening=0.0
+    )
     # A newborn's speed is in widths, the sensor's in √(wh).
     speed = scene.birth_speed * math.sqrt(scene.aspect)
     sensor = BoxSensor(p_detect, PAPER_DETECTOR.jitter_size, min_noise=0.0, birth_speed=speed)

@@ -9,6 +9,7 @@ vo.md.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from experiments.bearing import BearingSensor, TurningMotion
 from experiments.common import Options, filled, pyplot
 from experiments.scans import (
+    PLAIN_PMB,
     FilterRun,
     Realisation,
     SetErrors,
@@ -39,7 +41,6 @@ from phdtrack.filters import (
     GMCPHD,
     GMPHD,
     MHT,
-    PMB,
     PMBM,
     BestBernoullis,
     BestHypothesis,
@@ -75,8 +76,8 @@ FILTERS: dict[str, Stages] = {
     "mht": (MHT(transform="unscented"), BestHypothesis()),
     "pmbm": (PMBM(transform="unscented"), BestHypothesis(smoothed=True)),
     "pmb": (
-        PMB(mean_visible_time=0.0, static_clutter_prior=0.0, transform="unscented"),
-        BestBernoullis(),
+        replace(PLAIN_PMB, transform="unscented"),
+        BestBernoullis(merge_iou=0.5),
     ),
 }
 

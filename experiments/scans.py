@@ -29,13 +29,26 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Options, in_parallel, pyplot, table
+from phdtrack.arrays import GATE
 from phdtrack.compare.statistics import Interval, interval
+from phdtrack.filters import PMB
 from phdtrack.metrics.matching import cheapest
 from phdtrack.metrics.tgospa import TGospaParts, tgospa
 from phdtrack.protocols import Extractor, Filter, Model
 from phdtrack.types import F8, I8, Estimates
 
 Stages = tuple[Filter[Any], Extractor[Any]]
+# The PMB filter of these scenarios: one noise and one agility for all targets, which are never
+# hidden; no clutter that stays.
+PLAIN_PMB = PMB(
+    gate_probability=GATE,
+    mean_visible_time=0.0,
+    static_clutter_prior=0.0,
+    lasting_clutter_prior=0.0,
+    noise_freedom=0.0,
+    acceleration_factors=(1.0,),
+    clutter_decay=0.0,
+)
 
 
 @dataclass(frozen=True, slots=True)

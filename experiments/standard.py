@@ -13,6 +13,7 @@ import numpy as np
 
 from experiments.common import Options, filled
 from experiments.scans import (
+    PLAIN_PMB,
     FilterRun,
     Realisation,
     SetErrors,
@@ -28,7 +29,6 @@ from phdtrack.filters import (
     GMCPHD,
     GMPHD,
     MHT,
-    PMB,
     PMBM,
     BestBernoullis,
     BestHypothesis,
@@ -71,11 +71,11 @@ FILTERS: dict[str, Stages] = {
     "mht": (MHT(), BestHypothesis()),
     "pmbm": (PMBM(), BestHypothesis(smoothed=True)),
     # Of points p_D is constant, and nothing fires in one place.
-    "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis()),
+    "pmb": (PLAIN_PMB, BestBernoullis(merge_iou=0.5)),
     "gm-phd, anywhere": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
     AGILITY: (
-        PMB(mean_visible_time=0.0, static_clutter_prior=0.0, acceleration_factors=(1.0, 0.3, 0.1)),
-        BestBernoullis(),
+        replace(PLAIN_PMB, acceleration_factors=(1.0, 0.3, 0.1)),
+        BestBernoullis(merge_iou=0.5),
     ),
 }
 

@@ -95,7 +95,7 @@ def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStag
     if learns:
         learning = RateLearning(RatesLearning(RATES, priors_of(model), WAIT))
     associator = (
-        Labelled()
+        Labelled(max_coast=0.2, coast_by_evidence=False)
         if labelled
         else GraphMatching(window=SPAN, gap_cost=-model.rate * math.log(MISS))
     )

@@ -75,7 +75,8 @@ STREET = [
 @each
 def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so(inner):
     plain, rows = (
-        run(associator, STREET).online for associator in (inner, FalseTrackRejection(inner, STRIP))
+        run(associator, STREET).online
+        for associator in (inner, FalseTrackRejection(inner, STRIP, immediate_confirmation=0.0))
     )
     assert same(rows, plain, "confirmed")
     np.testing.assert_array_equal(rows.confirmed, plain.confirmed & (furthest(rows, plain) > 200))
@@ -87,7 +88,7 @@ def test_who_is_surely_an_object_is_confirmed_at_once(inner):
     """As soon as it has been there, and from then on; the others as before, and so are corrected
     tracks.
     """
-    slow = run(FalseTrackRejection(inner, STRIP), STREET)
+    slow = run(FalseTrackRejection(inner, STRIP, immediate_confirmation=0.0), STREET)
     fast = run(FalseTrackRejection(inner, STRIP, immediate_confirmation=20 * np.exp(-15.0)), STREET)
     rows = fast.online
     before = slow.online.confirmed
@@ -100,7 +101,7 @@ def test_who_is_surely_an_object_is_confirmed_at_once(inner):
 
 @each
 def test_corrected_tracks_begin_where_they_are_believed(inner):
-    associator = FalseTrackRejection(inner, STRIP)
+    associator = FalseTrackRejection(inner, STRIP, immediate_confirmation=0.0)
     result = run(associator, STREET)
     plain = run(inner, STREET).tracks
     tracks = result.tracks

@@ -35,7 +35,7 @@ def world(birth=None, clutter=None, **sensor) -> Model:
     """Boxes with the default noises; no births, a clutter of one a frame over the image."""
     seen = BoxSensor(**sensor)
     return Model(
-        BoxMotion(frame_size=FRAME),
+        BoxMotion(0.03, 0.1, 0.99**25, frame_size=FRAME, roughening=0.0),
         seen,
         birth or NoBirth(),
         clutter or UniformClutter(1.0, image_volume(FRAME)),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mht_cases import FRAME
 
+from phdtrack.arrays import GATE
 from phdtrack.filters import PMB
 from phdtrack.filters.pmb import Bernoullis
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
@@ -17,9 +18,22 @@ from reference.gm_twin import corrected
 # What a detection shows of a state, and its noise in `world`.
 H = np.eye(6)[[0, 1, 4, 5]]
 NOISE = 9 * np.eye(4)
-# Neither hidden states nor sources, and nothing is dropped.
-PLAIN = PMB(mean_visible_time=0.0, static_clutter_prior=0.0)
-EVERYTHING = PMB(
+# One noise and one agility for all targets, no lasting clutter, clutter as the model says.
+SIMPLE = PMB(
+    noise_freedom=0.0,
+    acceleration_factors=(1.0,),
+    clutter_decay=0.0,
+    lasting_clutter_prior=0.0,
+    gate_probability=GATE,
+    mean_visible_time=2.0,
+    mean_occluded_time=0.4,
+    static_clutter_prior=0.05,
+    static_clutter_detection_probability=0.5,
+)
+# Neither hidden states nor static clutter; and nothing is dropped.
+PLAIN = replace(SIMPLE, mean_visible_time=0.0, static_clutter_prior=0.0)
+EVERYTHING = replace(
+    SIMPLE,
     existence_threshold=1e-200,
     hypothesis_threshold=1e-200,
     max_hypotheses=10**6,
@@ -54,7 +68,7 @@ def world(
 
 
 def without_births(model: Model) -> Model:
-    return replace(model, birth=MeasurementBirth(births_per_second=0.0, frame_size=FRAME))
+    return replace(model, birth=MeasurementBirth(births_per_detection=0.0, frame_size=FRAME))
 
 
 def kalman(model: Model, mean: F8, cov: F8, z: F8 | None, dt: float) -> tuple[F8, F8]:

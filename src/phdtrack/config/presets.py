@@ -29,7 +29,7 @@ USUAL: Mapping[str, Mapping[str, str]] = {
         "": "other-filters",
     },
     "plane": {"pmb": "ground", "none": "ground-no-filter", "": "ground-other-filters"},
-    "point": {"pmb": "points", "": "points-other-filters"},
+    "point": {"pmb": "points", "none": "points-no-filter", "": "points-other-filters"},
 }
 
 
