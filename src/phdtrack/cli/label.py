@@ -430,7 +430,9 @@ def learn(
         )
         scene, born, alarms, sentences = training.train(births, clutter)
     output.say(*sentences)
-    if scene.births is None and scene.clutter is None:
+    if scene.births is None and scene.clutter is None and clutter == "unattended":
+        output.warn(["nothing was learned: tracks with this scene are those without"])
+    elif scene.births is None and scene.clutter is None:
         raise InputError(
             "nothing could be learned",
             where=found.name,

@@ -125,6 +125,8 @@ class SceneTraining:
             "births",
             self._marked_births if births == "hand" else partial(self._births_of_tracks, tracks),
         )
+        if births == "tracks" and born.learned is not None and followed is None:
+            followed = self._objects_of_tracks(tracks)
         gains = {"births gain": born.gain, "clutter gain": alarms.gain}
         notes: dict[str, float | int | str] = {
             name: value for name, value in gains.items() if math.isfinite(value)
@@ -239,13 +241,35 @@ class SceneTraining:
         kept = without_false_tracks(tracks, FalseAlarmRatio(alarms, followed))
         return kept, followed, f"{text}; tracks that stay among them are held back"
 
+    def _objects_of_tracks(self, tracks: Tracks) -> TrackedObjects | None:
+        """Where the tracks' detections are, in place of objects that a person has marked: births
+        are likelier or rarer there only in relation to them. None with too few detections; no track
+        is held back.
+        """
+        frames = [
+            self.stretch.start + k - 1 for k in shuffled(len(self.stretch), self.seed)[:UNATTENDED]
+        ]
+        detected = tracks.select((tracks.detection >= 0) & np.isin(tracks.frame, frames))
+        try:
+            training = learn_boxes(to_cxcywh(detected.xyxy), len(frames), self._size, OBJECT_BOXES)
+        except InputError:
+            return None
+        return TrackedObjects(0.0, self._with_prior(training.learned))
+
     def _births_of_tracks(self, tracks: Tracks) -> tuple[Training, str]:
-        """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]."""
+        """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV].
+        Raises `InputError` if they show no place: nobody has looked, and births that are as
+        likely everywhere as before are better left as they are.
+        """
         fps = self.info.fps
         rate = self.stages.model.rate
         states = births_in(tracks, fps, rate)
         text = f"{counted(states.shape[1], 'track')} began in {counted(len(self.stretch), 'frame')}"
-        return learn_births(states, len(self.stretch) / fps * rate, self._size), text
+        training = learn_births(states, len(self.stretch) / fps * rate, self._size)
+        if not training.learned.density.has_places:
+            problem = f"{text}, and no place is likelier than others"
+            raise InputError(problem, where="learning births", cure="Learn from a longer stretch")
+        return training, text
 
     def _marked_births(self) -> tuple[Training, str]:
         """Births from marks on the clips about the frames that a person has looked at."""
