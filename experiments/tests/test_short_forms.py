@@ -26,10 +26,9 @@ def test_runs_that_are_ended_and_resumed_give_the_same_files(tmp_path: Path) -> 
         assert came.keys() <= {"seconds of a run", "seconds", "SIGKILL", "SIGTERM"}, said
 
 
-@pytest.mark.parametrize("family", ["states", "track", "live"])
-def test_damaged_saved_states_are_read_or_refused(family: str, tmp_path: Path) -> None:
+def test_damaged_saved_states_are_refused(tmp_path: Path) -> None:
     report = tmp_path / "report.json"
-    run("fuzz_states", report, family, "--inputs", "60")
+    run("fuzz_states", report, "--inputs", "60")
     came = json.loads(report.read_text())
-    assert came["done"] == 60
-    assert came["findings"] == {}
+    assert came["accepted"] == 0
+    assert came["refused"] > 60 * 14

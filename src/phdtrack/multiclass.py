@@ -24,10 +24,9 @@ import numpy as np
 
 from phdtrack import pipeline
 from phdtrack.detect.convert import MAX_CLASSES, LeftOut, Limits
-from phdtrack.errors import InputError
 from phdtrack.kernels.grid import uncrowded
 from phdtrack.pipeline import TrackingState
-from phdtrack.protocols import AnyStages
+from phdtrack.protocols import AnyStages, FrameMemory
 from phdtrack.types import F8, I8, STILL, Bool, Detections, Step, Tracks
 
 # Empty frames that a class seen for the first time has been through: what is learned of them is the
@@ -225,10 +224,9 @@ class _ClassPipeline:
 
     @property
     def oldest(self) -> int:
-        """The number of the first frame that is remembered."""
-        from phdtrack.state import held_moments
-
-        return next((moment.number for moment in held_moments(self.state.association)), 0)
+        """The number of the first frame that is remembered; 0 if that is not known."""
+        association = self.state.association
+        return association.oldest_frame if isinstance(association, FrameMemory) else 0
 
     def votes(
         self, rows: Tracks, sums: dict[tuple[int, int], float]
@@ -386,33 +384,19 @@ class ClassPipelines:
         )
         return whole, tuple(_saved(lane) for lane in self._lanes.values() or (self._blank,))
 
-    def restore(self, whole: Any, lanes: Any) -> None:
-        """Go on from what was `saved` and packed. Raises `InputError` where it is damaged, or of
+    def restore(self, whole: Any, lanes: Any, where: str) -> None:
+        """Go on from what was `saved`, packed and read again. Raises `InputError` where it is of
         other settings.
         """
-        from phdtrack.state import World, restored
+        from phdtrack.state import unpack
 
-        found = restored(whole, SavedPipelines, None, World.of(self.kinds.usual), "state")
+        found: SavedPipelines = unpack(whole, SavedPipelines, where=where)
         kinds, past, self._names, self._alone, self.highest = found
-        if not isinstance(lanes, list) or len(lanes) != max(len(kinds), 1):
-            raise InputError(f"expected states of {max(len(kinds), 1)} classes", where="lanes")
-        made = [_restored(self.kinds.stages(k) if kinds else self.kinds.usual, one, f"lanes[{k}]")
+        made = [_restored(self.kinds.stages(k) if kinds else self.kinds.usual, one, f"{where}, class {k}")
                 for k, one in zip(kinds or (0,), lanes, strict=True)]  # fmt: skip
         self._blank = made[0]
         self._lanes = dict(zip(kinds, made, strict=False))
         self._past = deque(past, maxlen=_REPLAYED)
-
-    def counts(self) -> dict[int, int]:
-        """Above the greatest place of a detection that the rows of each frame may name."""
-        from phdtrack.state import held_moments
-
-        lanes = self._lanes.values() or (self._blank,)
-        found = {
-            m.number: m.z.shape[1] for lane in lanes for m in held_moments(lane.state.association)
-        }
-        for lane in lanes:
-            found |= {number: int(rows.max(initial=-1)) + 1 for number, rows in lane.rows.items()}
-        return found
 
     def _open(self, kind: int, gone_through: dict[int, _ClassPipeline]) -> None:
         """Follow a class from now on: the empty frames so far lie behind it.
@@ -524,11 +508,9 @@ def _saved(lane: _ClassPipeline) -> SavedPipeline:
 
 
 def _restored(stages: AnyStages, packed: Any, where: str) -> _ClassPipeline:
-    """The lane with these stages. Raises `InputError` where what was packed is damaged, or of
-    others.
-    """
-    from phdtrack.state import World, restored
+    """The lane with these stages. Raises `InputError` where what was packed is of others."""
+    from phdtrack.state import unpack
 
     like = _saved(_ClassPipeline.begin(stages, 0))
-    found: SavedPipeline = restored(packed, SavedPipeline, like, World.of(stages), where)
+    found: SavedPipeline = unpack(packed, SavedPipeline, like, where)
     return _ClassPipeline(stages, found.seed.generator(), *found[1:])

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -339,6 +339,15 @@ class Associator(Protocol[A]):
         """The measurements of everything that is remembered, with every frame of the corrected
         tracks.
         """
+
+
+@runtime_checkable
+class FrameMemory(Protocol):
+    """An associator's state that knows which frames it remembers."""
+
+    @property
+    def oldest_frame(self) -> int:
+        """Number of the first frame that is remembered; 0 before the first frame."""
 
 
 class Smoother(Protocol):

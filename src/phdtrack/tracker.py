@@ -33,9 +33,8 @@ from phdtrack.protocols import AnyStages
 from phdtrack.types import I8, LAST_FRAME, STILL, Detections, SequenceInfo, Step, Tracks
 
 _LOG = logging.getLogger(__name__)
-# Of a saved state: what is in it, and its format, which changes when a record of the state does.
-_SAVED = {"format", "dim", "frame_size", "state", "lanes", "left_out"}
-FORMAT = 21
+# The keys of a saved state.
+_SAVED = {"format", "frame_size", "dim", "settings", "state"}
 
 
 class SavedBoxes(NamedTuple):
@@ -312,77 +311,79 @@ class Tracker:
         return self._lanes.states
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays
-        (it can be pickled).
+        """Everything that decides what comes next, as numbers, texts and bytes with a checksum (it
+        can be pickled).
         """
         return self.snapshot()()
 
     def snapshot(self) -> Callable[[], dict[str, Any]]:
-        """What gives the `state_dict` of now, also later and in another thread: to ask for it costs
-        next to nothing.
+        """A function that returns the `state_dict` of now, also later and in another thread; the
+        call itself takes next to no time.
         """
-        from phdtrack.state import pack
+        from phdtrack.state import FORMAT, settings_digest, to_bytes
 
         whole, lanes = self._lanes.saved()
-        left_out = SavedBoxes(self._left_out, dict(self._kept))
-        about = {
-            "format": FORMAT,
-            "dim": self.stages.model.motion.dim,
-            "frame_size": self._frame_size,
+        state = {
+            "whole": whole,
+            "lanes": lanes,
+            "left_out": SavedBoxes(self._left_out, dict(self._kept)),
         }
-        return lambda: (
-            about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
-        )
+        return lambda: {
+            "format": FORMAT,
+            "frame_size": self._frame_size,
+            "dim": self.stages.model.motion.dim,
+            "settings": settings_digest(self.kinds),
+            "state": to_bytes(state),
+        }
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on from a `state_dict` of a tracker with the same settings. Raises `InputError` where
-        it is no such state, or one of another version, of states of other components or of frames
-        of another size."""
-        from phdtrack.state import World, restored
+    def load_state_dict(self, saved: dict[str, Any], *, same_settings: bool = True) -> None:
+        """Continue from a `state_dict` of a tracker with the same settings.
 
-        form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
-        if isinstance(form, int) and form != FORMAT:
-            problem = (
-                f"this state is of format {form}, and this version of phdtrack reads format"
-                f" {FORMAT}"
-            )
-            cure = "Load it with the version that saved it, or begin anew"
-            raise InputError(problem, where="load_state_dict", cure=cure)
-        if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != _SAVED:
-            raise InputError("this is no state of a tracker", where="load_state_dict")
-        dim = self.stages.model.motion.dim
+        Parameters
+        ----------
+        saved : what `state_dict` returned.
+        same_settings : False accepts a state of other settings of the same kinds of parts, in which
+            numbers have changed that no array's size depends on.
+
+        Raises
+        ------
+        InputError : it is no such state, damaged, of another format, of frames of another size, or
+            of other settings. The tracker stays as it was.
+        """
+        from phdtrack.state import from_bytes, unpack
+
+        where = "load_state_dict"
+        self._check_saved(saved, where, same_settings)
+        state = from_bytes(saved["state"], where)
         lanes = ClassPipelines(self.kinds, self.seed)
-        size = saved["frame_size"]
-        problem = ""
-        if not isinstance(saved["dim"], int) or saved["dim"] != dim:
-            problem = f"expected states of {dim} components, got {saved['dim']!r}"
-        elif not isinstance(size, str) or (size and self._frame_size and size != self._frame_size):
-            problem = f"expected a state of frames of {self._frame_size}, got one of {size!r}"
-        if problem:
-            cure = "Load it into a tracker with the settings of the one that it is from"
-            raise InputError(problem, where="load_state_dict", cure=cure)
-        try:
-            lanes.restore(saved["state"], saved["lanes"])
-            left: SavedBoxes = restored(
-                saved["left_out"], SavedBoxes, None, World(self.stages, {}), "left_out"
-            )
-            counts = lanes.counts()
-            if any(
-                rows.ndim != 1 or len(rows) < counts.get(number, 0)
-                for number, rows in left.kept.items()
-            ):
-                raise InputError("fewer rows than a frame has detections", where="left_out.kept")
-        except InputError as error:
-            raise InputError(
-                error.problem, where=f"load_state_dict, {error.where}", cure=error.cure
-            ) from None
-        except (OverflowError, RecursionError) as error:
-            raise InputError(
-                f"this is no state of a tracker ({error})", where="load_state_dict"
-            ) from None
+        lanes.restore(state["whole"], state["lanes"], where)
+        left_out: SavedBoxes = unpack(state["left_out"], SavedBoxes, where=f"{where}, left_out")
         self._lanes = lanes
         self._step = None
-        self._left_out, self._kept = left
+        self._left_out, self._kept = left_out
+
+    def _check_saved(self, saved: Any, where: str, same_settings: bool) -> None:
+        """Raise `InputError` unless this is a saved state that belongs to this tracker."""
+        from phdtrack.state import FORMAT, other_format, settings_digest
+
+        if not isinstance(saved, dict) or "format" not in saved:
+            raise InputError("expected a state of a tracker", where=where)
+        if saved["format"] != FORMAT:
+            raise other_format(saved["format"], where)
+        if saved.keys() != _SAVED or not isinstance(saved["state"], bytes):
+            raise InputError("expected a state of a tracker", where=where)
+        size = saved["frame_size"]
+        dim = self.stages.model.motion.dim
+        problem = ""
+        if size and self._frame_size and size != self._frame_size:
+            problem = f"expected a state of frames of {self._frame_size}, got one of {size}"
+        elif saved["dim"] != dim:
+            problem = f"expected states of {dim} components, got {saved['dim']}"
+        elif same_settings and saved["settings"] != settings_digest(self.kinds):
+            problem = "expected a state of a tracker with the same settings"
+        if problem:
+            cure = "Load it into a tracker with the settings of the one that it is from"
+            raise InputError(problem, where=where, cure=cure)
 
 
 class FinalTracks:

@@ -14,8 +14,7 @@ from test_labels import seen
 
 from phdtrack.associate.labels import PATIENCE, REMEMBERED, Labelled, LabelledState
 from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning, step_of
-from phdtrack.state import pack, restored
-from phdtrack.state.forms import World
+from phdtrack.state import from_bytes, to_bytes, unpack
 from phdtrack.types import Estimates
 
 MODEL = model_of()
@@ -124,9 +123,7 @@ def test_a_saved_state_goes_on_as_if_nothing_had_happened():
     frames = lives(["back", "never"] * 4 + ["back"] * 8)
     whole = run(EVIDENCE, frames)
     at = 101
-    state = restored(
-        pack(whole.states[at - 1]), LabelledState, None, World(None, {"delay": 0}), "state"
-    )
+    state = unpack(from_bytes(to_bytes(whole.states[at - 1])), LabelledState)
     assert len(state.followed.label)
     for number, estimates in enumerate(frames[at:], start=at + 1):
         state, rows = EVIDENCE.extend(

@@ -2,7 +2,6 @@
 tracks are.
 """
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +10,7 @@ from association_cases import model_of, run, same, states, table
 
 from phdtrack.associate.labels import Labelled, LabelledState
 from phdtrack.errors import InputError
-from phdtrack.state import pack, restored
-from phdtrack.state.forms import World
+from phdtrack.state import from_bytes, to_bytes, unpack
 from phdtrack.types import Estimates
 
 MODEL = model_of()
@@ -146,7 +144,7 @@ def test_a_saved_state_goes_on_as_if_nothing_had_happened(depth: int):
     )
     held = replace(PLAIN, output_delay=3)
     whole = run(held, frames)
-    half = restored(pack(whole.states[69]), LabelledState, None, World(None, {"delay": 3}), "state")
+    half = unpack(from_bytes(to_bytes(whole.states[69])), LabelledState)
     for number, estimates in enumerate(frames[70:], start=71):
         half, rows = held.extend(half, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL)
         assert same(rows, whole.given[number - 1])
@@ -163,11 +161,11 @@ def test_a_camera_that_runs_for_days_forgets():
     ours = run(replace(PLAIN, history=2.0), frames)
     theirs = run(PLAIN, frames)
     sizes = [
-        len(pickle.dumps(pack(state)))
+        len(to_bytes(state))
         for state in (ours.states[319], ours.states[447], ours.states[-1])
     ]
     assert max(sizes) < 1.3 * min(sizes)
-    assert len(pickle.dumps(pack(theirs.states[-1]))) > 4 * sizes[0]
+    assert len(to_bytes(theirs.states[-1])) > 4 * sizes[0]
     assert table(ours.online) == table(theirs.online)
     assert 400 < ours.tracks.frame.min() <= 600 - 50
 

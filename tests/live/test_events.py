@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from phdtrack.groups.life_cycle import Event as GroupEvent
 from phdtrack.live.events import Event, Watch, WatchState
 from phdtrack.live.zones import Place
-from phdtrack.state import pack, restored
-from phdtrack.state.forms import World
+from phdtrack.state import from_bytes, to_bytes, unpack
 from phdtrack.types import F8, Tracks
 
 DOOR = Place("door", ((0.0, 100.0), (200.0, 100.0)), closed=False)
@@ -56,7 +55,7 @@ def watched(
         state, new = watch.advance(state, rows(k, feet), k, k / FPS)
         events += new
         if saved:
-            state = restored(pack(state), WatchState, None, World(None, {}), "watch")
+            state = unpack(from_bytes(to_bytes(state)), WatchState)
     return state, events
 
 

@@ -125,6 +125,11 @@ class GraphState:
     vertices: int = 0
     time: float = 0.0
 
+    @property
+    def oldest_frame(self) -> int:
+        """Number of the first frame that is remembered; 0 before the first frame."""
+        return self.history.oldest_frame
+
 
 @dataclass(frozen=True, slots=True)
 class GraphMatching(Checked):

@@ -75,6 +75,11 @@ class History:
             return History(self.full[gone:], self.recent, self.forgotten + CHUNK * gone)
         return self
 
+    @property
+    def oldest_frame(self) -> int:
+        """Number of the first frame that is held; 0 if there is none."""
+        return next((moment.number for moment in self), 0)
+
     def __len__(self) -> int:
         return self.forgotten + CHUNK * len(self.full) + len(self.recent)
 

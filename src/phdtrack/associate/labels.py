@@ -121,6 +121,13 @@ class LabelledState:
     used: int = 0
     followed: Followed = NOBODY
 
+    @property
+    def oldest_frame(self) -> int:
+        """Number of the first frame that is remembered; 0 before the first frame."""
+        if self.recent:
+            return self.history.oldest_frame or self.recent[0].number
+        return self.history.oldest_frame
+
     def __len__(self) -> int:
         return len(self.history) + len(self.recent)
 

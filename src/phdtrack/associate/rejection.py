@@ -21,7 +21,7 @@ import numpy as np
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import Checked, NonNegative, PositiveCount
 from phdtrack.models.scene import FalseAlarmRatio
-from phdtrack.protocols import Associator, Model
+from phdtrack.protocols import Associator, FrameMemory, Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
 A = TypeVar("A")
@@ -38,6 +38,11 @@ class RejectionState(Generic[A]):
     inner: A
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     least: F8 = field(default_factory=lambda: np.zeros((2, 0)))
+
+    @property
+    def oldest_frame(self) -> int:
+        """Number of the first frame that is remembered; 0 if that is not known."""
+        return self.inner.oldest_frame if isinstance(self.inner, FrameMemory) else 0
 
 
 @dataclass(frozen=True, slots=True)

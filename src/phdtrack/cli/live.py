@@ -48,7 +48,14 @@ _ENDING = 1.5
 _LINES = 10_000
 # Settings that cannot change while it runs, besides the kind of each part: what was learned or is
 # late depends on them.
-_FIXED = ("detector.", "camera.", "classes.", "associate.output_delay")
+_FIXED = (
+    "detector.",
+    "camera.",
+    "classes.",
+    "associate.output_delay",
+    "filter.acceleration_factors",
+    "filter.samples",
+)
 _PLACES = (
     "Lines and zones, read again when they change; NAME=FILE for one camera. Default: places.toml"
     " in its folder."

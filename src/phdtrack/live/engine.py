@@ -370,7 +370,7 @@ class Camera:
             raise InputError(problem, where=path, cure="End it and start it again.")
         going_on = Tracker(stages=made.kinds, fps=made.info.fps, seed=made.seed)
         going_on.warm_up()
-        going_on.load_state_dict(tracker.state_dict())
+        going_on.load_state_dict(tracker.state_dict(), same_settings=False)
         self._tracker = going_on
         self._made = made._replace(detector=old.detector)
 
@@ -505,7 +505,7 @@ class Camera:
             # A run that was killed before its first checkpoint may have come after one that ended
             # in order.
             ended = ended and last <= seen.number
-            tracker.load_state_dict(packed)
+            tracker.load_state_dict(packed, same_settings=False)
         except InputError as error:
             self._problems["checkpoint"] = (
                 f"the checkpoint cannot be used, tracks and counts begin anew: {error}"

@@ -1,7 +1,14 @@
-"""States as plain values and as bytes, and how they are read again."""
+"""Saved states: bytes with a checksum and a format number, and the records made of them again."""
 
-from phdtrack.state.binary import blocks, from_bytes, to_bytes
-from phdtrack.state.forms import World, held_moments
-from phdtrack.state.reading import pack, restored
+from phdtrack.state.binary import FORMAT, blocks, from_bytes, other_format, to_bytes
+from phdtrack.state.unpacking import settings_digest, unpack
 
-__all__ = ["World", "blocks", "from_bytes", "held_moments", "pack", "restored", "to_bytes"]
+__all__ = [
+    "FORMAT",
+    "blocks",
+    "from_bytes",
+    "other_format",
+    "settings_digest",
+    "to_bytes",
+    "unpack",
+]
