@@ -21,7 +21,7 @@ from pathlib import Path
 sys.path.insert(0, {tests!r})
 from page_cases import session
 from phdtrack.label.label_page import label_app
-from phdtrack.live.serving import listen, serve
+from phdtrack.web.serving import listen, serve
 address = listen(port={port})
 print(address.url, flush=True)
 serve(label_app(session(Path({labels!r}), {boxes}, {waiting_for!r} and Path({waiting_for!r}))), address)

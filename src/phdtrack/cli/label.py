@@ -85,7 +85,7 @@ def label(
     Meanwhile a tracker looks for detections that may be false and suggests them. Ctrl-C ends.
     """
     from phdtrack.label.label_page import Session, label_app
-    from phdtrack.live.serving import listen, serve
+    from phdtrack.web.serving import listen, serve
 
     output = Output()
     settings = load(config, sets or ())

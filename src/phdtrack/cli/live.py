@@ -289,14 +289,14 @@ class _Server:
     """
 
     def __init__(self, at: PageOptions) -> None:
-        from phdtrack.live.serving import listen
+        from phdtrack.web.serving import listen
 
         self._address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key)
 
     def start(self, cameras: Sequence[Camera], output: Output) -> None:
         """Answer from now on."""
         from phdtrack.live.live_page import live_app
-        from phdtrack.live.serving import serve
+        from phdtrack.web.serving import serve
 
         threading.Thread(
             target=serve, args=(live_app(cameras), self._address), name="phdtrack page", daemon=True

@@ -23,10 +23,10 @@ from phdtrack.label.exchange import Exchange
 from phdtrack.label.samples import boxes_of, clip
 from phdtrack.label.store import DRAWN, Label, LabelStore, Progress
 from phdtrack.label.suggestions import ALIKE, TICKED, Background
-from phdtrack.live.serving import JSON, endpoint, static
 from phdtrack.scene.mixture import place_map
 from phdtrack.scene.training import FALSE_BOXES, MIN_BIRTHS, box_density, learn_boxes
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
+from phdtrack.web.endpoints import JSON, endpoint, static
 
 # Of answers of a media type: pictures never change, and the labels are a file to keep.
 _OF_TYPE = {

@@ -22,8 +22,8 @@ from starlette.routing import Route
 
 from phdtrack.errors import InputError, shown
 from phdtrack.live.engine import Camera
-from phdtrack.live.serving import Endpoint, endpoint, static
 from phdtrack.live.zones import places_of, write_places
+from phdtrack.web.endpoints import Endpoint, endpoint, static
 
 STATIC = Path(__file__).parent / "static"
 # Of what is sent to save places: bytes, places, corners of all together. Events that are shown.

@@ -311,7 +311,9 @@ class EventLog:
             ) from None
         self._add_lines()
 
-    def write(self, events: Iterable[Notice], watched: tuple[int, bytes] | None = None) -> list[Notice]:
+    def write(
+        self, events: Iterable[Notice], watched: tuple[int, bytes] | None = None
+    ) -> list[Notice]:
         """Those of the events that are new, once they are on disk. Raises `sqlite3.Error` where
         nothing was written.
 

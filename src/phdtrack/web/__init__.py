@@ -1,0 +1,1 @@
+"""The web server of the labelling page and the live page."""
