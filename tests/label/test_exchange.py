@@ -95,7 +95,7 @@ def test_labels_of_other_detections_are_matched(marked, tmp_path, kind):
     assert sorted(label.place for label in found.values() if label.box >= DRAWN) == [DREW, DREW]
 
 
-def test_a_frame_is_done_only_where_all_its_detections_are_in_the_file(marked, tmp_path):
+def test_a_frame_is_done_if_the_file_has_all_its_detections(marked, tmp_path):
     """Here are detections in another place: nobody has said that they are true."""
     again = exchange(tmp_path / "again.sqlite", "xyz", shift=70.0)
     taken = again.take(read_annotated(written(marked, tmp_path, "json")))
@@ -140,7 +140,7 @@ CVAT = """<annotations><track id="0" label="person">
 
 
 @pytest.mark.parametrize("text", [json.dumps(COCO), CVAT], ids=["coco", "cvat"])
-def test_boxes_of_another_tool_are_true_places_and_missed_objects(tmp_path, text):
+def test_boxes_of_other_tools_are_places_and_missed_objects(tmp_path, text):
     """Both files count from 0: frame 9 is the tenth. The other frame is not one of those to
     label.
     """

@@ -138,7 +138,7 @@ def test_a_map_of_marks_that_lie_anywhere_says_so_and_is_clear(tmp_path):
         ("undo", [1], "an object"),
     ],
 )
-def test_what_cannot_be_used_is_told_and_changes_nothing(page, path, sent, words):
+def test_unusable_input_is_refused_and_changes_nothing(page, path, sent, words):
     answer = page.post(f"/api/frame/1/{path}", json=sent)
     assert answer.status_code == 400
     assert words in answer.json()["error"]

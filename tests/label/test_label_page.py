@@ -12,7 +12,7 @@ from page_cases import FRAMES, SIZE, server
 from browsers import faults, needs_browser
 from phdtrack.label import Label, LabelStore
 
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.slow]
 VIEWPORT = {"width": 1280, "height": 800}
 KEPT = '#saving:text-is("all kept")'
 
@@ -125,7 +125,7 @@ def test_a_phone_on_its_side_has_the_picture_beside_the_buttons(it):
     assert button["x"] > picture["x"] + picture["width"] - 1
 
 
-def test_what_marks_many_boxes_is_said_and_keys_go_on_after_the_mouse(it, store):
+def test_marks_of_many_boxes_are_reported_and_keys_still_work(it, store):
     it.frame(1)
     for key in ("Tab", "Tab"):
         it.page.keyboard.press(key)
@@ -226,7 +226,7 @@ def test_missed_objects_are_drawn_and_boxes_moved(it, store):
     assert store.labels() == [Label(1, 1, "false")]
 
 
-def test_boxes_are_drawn_and_moved_by_keyboard_also_while_the_server_is_away(browser, tmp_path):
+def test_the_keyboard_draws_and_moves_boxes_without_a_server(browser, tmp_path):
     labels = tmp_path / "labels.sqlite"
     with server(labels) as (url, process), opened(browser, url) as it:
         port = int(url.rsplit(":", 1)[1].strip("/"))
@@ -255,7 +255,7 @@ def test_boxes_are_drawn_and_moved_by_keyboard_also_while_the_server_is_away(bro
             assert [label.box for label in store.labels()] == [drawn.box]
 
 
-def test_labellers_are_told_apart_and_where_they_disagree_is_stepped_to(browser, tmp_path):
+def test_disagreements_of_labellers_can_be_stepped_through(browser, tmp_path):
     labels = tmp_path / "labels.sqlite"
     with server(labels) as (url, _), opened(browser, url) as ann, opened(browser, url) as bob:
         for page, name in ((ann, "ann"), (bob, "bob")):
@@ -391,7 +391,7 @@ def test_births_are_marked_on_the_clip_about_a_frame(it, store):
     it.page.wait_for_selector('#play:text-is("▶")')
 
 
-def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store):
+def test_a_sweep_of_suggestions_is_confirmed_and_undone_at_once(it, store):
     it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
     it.page.keyboard.press("s")
     # What scores below is shown, and not ticked.

@@ -43,7 +43,7 @@ def walk(first, count, start, velocity, size=(30, 80)):
     ]
 
 
-def test_frames_watched_are_counted_once_and_without_the_first_of_a_clip(tmp_path):
+def test_watched_frames_count_once_without_the_first_of_a_clip(tmp_path):
     store = LabelStore.open(tmp_path / "l", "s", "d", (20, 25, 100))
     assert len(Marks(store, NOTHING, INFO).watched) == 0
     for number in (20, 25):
@@ -109,7 +109,7 @@ def test_objects_are_where_they_were_drawn_or_moved_to(tmp_path):
     assert marks.false_boxes.shape == (4, 1)
 
 
-def test_a_drawn_box_that_enters_is_linked_to_the_detections_behind_it(tmp_path):
+def test_a_drawn_birth_is_linked_to_later_detections(tmp_path):
     seen = table(*walk(16, 6, (106, 198), (6, -2)))
     store = marked(tmp_path, [])
     store.mark(20, [Label(15, DRAWN, "birth", (85.0, 160.0, 115.0, 240.0))])
@@ -158,7 +158,7 @@ def resting(*pairs):
     )
 
 
-def test_objects_are_what_was_not_marked_on_frames_that_were_looked_at(tmp_path):
+def test_unmarked_boxes_of_finished_frames_are_objects(tmp_path):
     marks = five(tmp_path)
     same_boxes(marks.object_boxes, (2, 2), (4, 1), (4, 2))
     same_boxes(marks.false_boxes, (2, 0), (2, 1), (4, 0))

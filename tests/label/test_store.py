@@ -56,7 +56,7 @@ def test_frames_come_in_their_order_and_progress_counts(store):
     assert store.progress().done == 0
 
 
-def test_that_a_frame_is_done_is_undone_and_redone_in_turn_with_its_marks(store):
+def test_done_frames_are_undone_and_redone_with_their_marks(store):
     store.mark(10, false(10, 1))
     store.finish(10)
     assert store.steps(10) == (2, 0)
@@ -77,7 +77,7 @@ def test_a_frame_that_was_done_in_an_earlier_file_is_done(store):
     assert store.progress().done == 0
 
 
-def test_going_on_later_keeps_everything_adds_frames_and_refuses_other_detections(store, tmp_path):
+def test_a_reopened_store_keeps_labels_and_adds_frames(store, tmp_path):
     store.mark(10, false(10, 1))
     store.finish(10)
     again = LabelStore.open(tmp_path / "labels.sqlite", "street.mp4", "abc", [10, 40])

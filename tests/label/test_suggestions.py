@@ -123,7 +123,7 @@ def place_score(evidence):
     return max((one.score for one in found if one.reason == "place"), default=0)
 
 
-def test_what_fires_all_along_is_told_from_what_stays_for_a_while():
+def test_constant_false_alarms_differ_from_objects_that_stay():
     rng = np.random.default_rng(0)
     assert place_score(at_one_place(np.flatnonzero(rng.random(1500) < 0.3) + 1)) > 0.99
     # Twelve seconds, seen nine times of ten: somebody who stands there.
@@ -138,7 +138,7 @@ def test_what_fires_all_along_is_told_from_what_stays_for_a_while():
     assert place_score(at_one_place(np.flatnonzero(rng.random(1500) < 0.9) + 1)) > 0.99
 
 
-def test_what_a_track_holds_that_goes_somewhere_is_never_suggested():
+def test_boxes_of_moving_tracks_are_never_suggested():
     frames = np.arange(1, 101)
     box = np.array([100.0, 100, 140, 200]) + np.outer(np.arange(100), [2, 0, 2, 0])
     table = DetectionTable(frames, Detections.of(box))

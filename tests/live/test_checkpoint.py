@@ -94,7 +94,7 @@ def numbered(folder: Path) -> list[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("delay", [0, 2])
-def test_who_is_there_when_it_is_killed_goes_on(tmp_path: Path, delay: int) -> None:
+def test_tracks_and_counts_continue_after_a_kill(tmp_path: Path, delay: int) -> None:
     first = run(tmp_path, delay=delay)
     show(first, [20 + 3 * k for k in range(20)], START)
     crashed(first)
@@ -127,7 +127,9 @@ def test_who_is_there_when_it_is_killed_goes_on(tmp_path: Path, delay: int) -> N
 
 @pytest.mark.parametrize("hour", [0.0, 3600.0])
 @pytest.mark.parametrize("delay", [0, 2])
-def test_what_came_after_the_checkpoint_comes_once(tmp_path: Path, delay: int, hour: float) -> None:
+def test_events_after_the_checkpoint_are_reported_once(
+    tmp_path: Path, delay: int, hour: float
+) -> None:
     """Somebody crosses, goes, and somebody else comes, all after the checkpoint; then it is killed,
     and starts at once, or in another hour, in whose file the rows are then."""
     first = run(tmp_path, delay=delay)
@@ -178,9 +180,7 @@ def test_a_kill_soon_after_an_end_in_order_repeats_nothing(
 
 
 @pytest.mark.parametrize("end", ["killed", "stopped"])
-def test_events_that_wait_for_the_table_are_not_in_the_counts_of_a_restart(
-    tmp_path: Path, end: str
-) -> None:
+def test_a_restart_does_not_count_unwritten_events(tmp_path: Path, end: str) -> None:
     one = run(tmp_path)
     show(one, [20 + 3 * k for k in range(10)], START)
     one._saving.join()
@@ -198,7 +198,7 @@ def test_events_that_wait_for_the_table_are_not_in_the_counts_of_a_restart(
     assert len(crossed) == second.watched[1].counts[0].entered + second.watched[1].counts[0].left
 
 
-def test_lines_that_lag_behind_the_table_do_not_wait_for_the_next_event(tmp_path: Path) -> None:
+def test_lagging_event_lines_are_written_without_a_new_event(tmp_path: Path) -> None:
     one = run(tmp_path)
     lines = tmp_path / "events.jsonl"
     lines.mkdir()
@@ -245,7 +245,7 @@ def test_after_an_end_in_order_identities_go_on_without_a_gap(tmp_path: Path) ->
     ("damaged", "cut off or changed"), ("settings", "differs in: settings"),
     ("state", "cut off or changed"), ("missing", ""),
 ])  # fmt: skip
-def test_what_cannot_be_used_is_said_and_identities_are_new(
+def test_after_an_unusable_checkpoint_identities_are_new(
     tmp_path: Path, what: str, says: str
 ) -> None:
     first = run(tmp_path)

@@ -65,9 +65,7 @@ def test_flicker_counts_nobody_twice(seen: list[bool], seed: int) -> None:
     assert (zone.entered, zone.left, zone.most) == (1, 0, 1)
 
 
-def test_who_vanishes_in_a_zone_has_left_when_last_seen_and_who_is_there_at_the_end_has_not() -> (
-    None
-):
+def test_a_vanished_visitor_leaves_the_zone_when_last_seen() -> None:
     rows = Tracks.concatenate(
         [walk(1, dict.fromkeys(range(1, 31), 150.0)), walk(2, dict.fromkeys(range(21, 101), 150.0))]
     )
@@ -87,7 +85,7 @@ def test_who_vanishes_in_a_zone_has_left_when_last_seen_and_who_is_there_at_the_
     ]
 
 
-def test_who_comes_back_after_leaving_begins_another_visit_however_long_the_gap() -> None:
+def test_a_return_after_leaving_begins_another_visit() -> None:
     rows = walk(1, {1: 150.0, 2: 150.0, 5_000_000: 150.0})
     events = place_events(WATCH, rows, 5_000_001, FPS)
     assert [(e.kind, e.number) for e in events] == [

@@ -102,12 +102,12 @@ def test_who_trembles_on_the_line_and_turns_back_has_not_crossed() -> None:
 
 
 @pytest.mark.parametrize("gap", [0, 5, 25])
-def test_who_is_lost_before_the_line_and_found_behind_it_has_crossed(gap: int) -> None:
+def test_a_track_lost_before_and_found_behind_a_line_crosses(gap: int) -> None:
     _, events = watched([{3: (100, 80)}, *[{}] * gap, {3: (110, 130)}], Watch((DOOR,)))
     assert kinds(events) == ["appear", "cross"]
 
 
-def test_who_comes_back_after_leaving_appears_anew_and_does_not_cross() -> None:
+def test_a_return_after_leaving_appears_anew_without_crossing() -> None:
     _, events = watched([{3: (100, 80)}, *[{}] * 35, {3: (110, 130)}], Watch((DOOR,)))
     assert kinds(events) == ["appear", "leave", "appear"]
 
@@ -152,7 +152,7 @@ moves = st.lists(
 
 
 @given(moves)
-def test_a_saved_state_goes_on_alike_and_counts_agree_with_events(
+def test_a_saved_state_continues_and_counts_agree_with_events(
     walks: list[dict[int, tuple[float, float]]],
 ) -> None:
     state, events = watched(walks)

@@ -55,10 +55,9 @@ def invoked(*words: str) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
-@pytest.mark.parametrize("name", ["SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
-def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_password(
-    tmp_path: Path, name: str
-) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_signal_ends_it_while_a_camera_is_frozen(tmp_path: Path, name: str) -> None:
     camera = CameraServer()
     hook = ThreadingHTTPServer(("127.0.0.1", 0), Hook)
     hook.taken = []
@@ -296,7 +295,7 @@ def test_sources_have_names_and_sizes_are_read() -> None:
         size("0")
 
 
-def test_settings_are_those_of_track_with_a_past_that_is_forgotten() -> None:
+def test_settings_are_those_of_track_with_bounded_history() -> None:
     from phdtrack.cli.live import Maker
 
     make = Maker(TrackingOptions(), (), "change", 0, None)

@@ -256,6 +256,7 @@ def address(
             assert child.wait(20) == 0
 
 
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize(
     ("width", "height", "scheme", "kind"),

@@ -122,7 +122,7 @@ def test_an_hour_becomes_parquet(tmp_path: Path) -> None:
     assert log.last_frame() == 1
 
 
-def test_an_hour_that_was_killed_while_it_became_parquet_is_there_once(tmp_path: Path) -> None:
+def test_an_hour_killed_during_conversion_is_kept_once(tmp_path: Path) -> None:
     """Before its name, and after it."""
     for name in ("T05.csv", "T05.parquet.part", "T06.csv", "T06.parquet", "T07.parquet"):
         (tmp_path / f"2026-11-24{name}").write_text("x")
@@ -155,7 +155,7 @@ def test_a_gap_begins_a_new_video(tmp_path: Path) -> None:
     assert names(tmp_path) == ["2026-11-24T06-00-00.2.mp4", "2026-11-24T06-00-00.mp4"]
 
 
-def test_what_a_killed_run_left_of_a_video_is_kept_but_for_its_last_seconds(tmp_path: Path) -> None:
+def test_the_video_of_a_killed_run_loses_its_last_seconds_only(tmp_path: Path) -> None:
     pictures = np.random.default_rng(1).integers(0, 255, (10, 48, 64, 3), np.uint8)
     log = VideoLog(tmp_path, 5.0)
     for k in range(100):
@@ -215,7 +215,7 @@ def test_lines_that_a_kill_kept_from_the_file_are_written_later(tmp_path: Path) 
     assert (tmp_path / "events.jsonl").read_bytes() == whole
 
 
-def test_lines_that_could_not_be_written_come_with_the_next_event(tmp_path: Path) -> None:
+def test_unwritten_lines_are_written_with_the_next_event(tmp_path: Path) -> None:
     log = EventLog(tmp_path)
     lines = tmp_path / "events.jsonl"
     log.write([event(1)])
@@ -237,7 +237,7 @@ def test_lines_that_could_not_be_written_come_with_the_next_event(tmp_path: Path
     log.close()
 
 
-def test_lines_that_are_moved_away_and_rows_that_are_deleted_do_not_matter(tmp_path: Path) -> None:
+def test_moved_lines_and_deleted_rows_are_tolerated(tmp_path: Path) -> None:
     log = EventLog(tmp_path)
     lines = tmp_path / "events.jsonl"
     log.register("one")
@@ -257,7 +257,7 @@ def test_lines_that_are_moved_away_and_rows_that_are_deleted_do_not_matter(tmp_p
     log.close()
 
 
-def test_what_is_known_of_visitors_goes_with_the_events_or_not_at_all(tmp_path: Path) -> None:
+def test_visitors_are_saved_with_their_events_or_not_at_all(tmp_path: Path) -> None:
     log = EventLog(tmp_path)
     assert log.watched() is None
     log.write([event(1)], (7, b"seven"))
@@ -310,7 +310,7 @@ class Client:
         return SimpleNamespace(rc=4, mid=len(self.sent))
 
 
-def test_an_event_that_the_broker_does_not_confirm_is_given_to_the_client_once(
+def test_an_unconfirmed_event_is_published_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     made = SimpleNamespace(Client=Client, CallbackAPIVersion=SimpleNamespace(VERSION2=2))
@@ -333,7 +333,7 @@ def test_an_event_that_the_broker_does_not_confirm_is_given_to_the_client_once(
         Mqtt("mqtt://broker.example/site/+")
 
 
-def test_an_event_is_sent_once_though_that_cannot_be_written_down(tmp_path: Path) -> None:
+def test_an_event_is_sent_once_if_that_cannot_be_recorded(tmp_path: Path) -> None:
     log = EventLog(tmp_path)
     taken = list[str]()
     tried = list[int]()
@@ -395,7 +395,7 @@ def until(ready: object, patience: float = 600.0) -> None:
         time.sleep(0.02)
 
 
-def test_events_reach_a_webhook_in_their_order_also_after_failures(
+def test_webhook_events_keep_their_order_after_failures(
     tmp_path: Path, receiver: ThreadingHTTPServer
 ) -> None:
     log = EventLog(tmp_path)
@@ -456,9 +456,7 @@ def test_private_networks_are_refused(host: str, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("ip", ["8.8.8.8", "2606:4700::1", "64:ff9b::808:808", "::ffff:8.8.8.8"])
-def test_the_internet_is_not_refused_and_what_was_looked_up_is_connected_to(
-    ip: str, monkeypatch
-) -> None:
+def test_public_addresses_are_looked_up_once_and_used(ip: str, monkeypatch) -> None:
     """A name is looked up once: what it leads to later (DNS rebinding) does not matter."""
     asked = list[object]()
     answers = iter([ip, "127.0.0.1", "127.0.0.1"])
@@ -491,7 +489,7 @@ def test_one_private_address_among_others_is_enough_to_refuse(
         Webhook("http://hook.example/")("a", "{}")
 
 
-def test_redirections_are_not_followed_and_the_password_is_sent_in_a_header(
+def test_no_redirection_is_followed_and_the_password_is_a_header(
     receiver: ThreadingHTTPServer,
 ) -> None:
     receiver.status = 302  # type: ignore[attr-defined]

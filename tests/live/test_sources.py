@@ -58,7 +58,8 @@ def waited(source: LiveSource, state: str) -> None:
     until(there)
 
 
-def test_times_are_those_of_arrival_and_not_of_a_rate_that_nobody_stated(
+@pytest.mark.slow
+def test_times_are_arrival_times_if_no_rate_is_stated(
     server: CameraServer, source: LiveSource
 ) -> None:
     """FFmpeg takes MJPEG for 25 pictures a second; here there are 10. No picture can be earlier
@@ -85,6 +86,7 @@ def test_times_are_those_of_arrival_and_not_of_a_rate_that_nobody_stated(
     assert source.status().since >= 3 * LONGEST_PAUSE
 
 
+@pytest.mark.slow
 def test_who_is_slow_gets_the_newest_picture(source: LiveSource) -> None:
     (first,) = frames(source, 1)
     until(lambda: source.status().frames >= first.number + 10)
@@ -96,6 +98,7 @@ def test_who_is_slow_gets_the_newest_picture(source: LiveSource) -> None:
     assert int(second.image.mean()) == pytest.approx(second.number, abs=1)
 
 
+@pytest.mark.slow
 def test_a_camera_that_dies_is_found_again(server: CameraServer, source: LiveSource) -> None:
     last = frames(source, 2)[-1]
     for _ in range(3):
@@ -111,6 +114,7 @@ def test_a_camera_that_dies_is_found_again(server: CameraServer, source: LiveSou
     assert source.status().connects == 4
 
 
+@pytest.mark.slow
 def test_a_stream_of_which_no_picture_comes_is_tried_again(
     server: CameraServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,7 +133,8 @@ def test_a_stream_of_which_no_picture_comes_is_tried_again(
     source.stop()
 
 
-def test_a_stream_whose_time_runs_faster_than_the_clock_is_shown_all_the_same(
+@pytest.mark.slow
+def test_a_stream_faster_than_the_clock_is_shown(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """All its pictures look as if they had come while the connection was made."""
@@ -222,6 +227,7 @@ def test_hls_is_played_at_the_pace_of_its_stamps_and_found_again(tmp_path: Path)
     server.end()
 
 
+@pytest.mark.slow
 def test_whatever_a_source_raises_it_is_tried_again(
     server: CameraServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -235,6 +241,7 @@ def test_whatever_a_source_raises_it_is_tried_again(
     source.stop()
 
 
+@pytest.mark.slow
 def test_it_is_tried_again_twice_a_second(server: CameraServer) -> None:
     """However long the camera is away, it is found within two seconds of its return."""
     server.kill()
@@ -256,6 +263,7 @@ def test_it_is_tried_again_twice_a_second(server: CameraServer) -> None:
     assert min(pauses[10:]) > 0.3
 
 
+@pytest.mark.slow
 def test_a_camera_that_freezes_goes_on_where_time_is(
     server: CameraServer, source: LiveSource
 ) -> None:
@@ -272,7 +280,8 @@ def test_a_camera_that_freezes_goes_on_where_time_is(
     assert source.status().connects == 1
 
 
-def test_a_server_that_accepts_and_says_nothing_is_left_and_tried_again(
+@pytest.mark.slow
+def test_a_silent_server_is_left_and_tried_again(
     server: CameraServer,
 ) -> None:
     server.mute = True
@@ -287,6 +296,7 @@ def test_a_server_that_accepts_and_says_nothing_is_left_and_tried_again(
     source.stop()
 
 
+@pytest.mark.slow
 def test_another_size_is_scaled_to_the_first(server: CameraServer, source: LiveSource) -> None:
     frames(source, 2)
     server.size = (320, 200)
@@ -298,6 +308,7 @@ def test_another_size_is_scaled_to_the_first(server: CameraServer, source: LiveS
     assert frames(source, 1)[0].image.shape == (120, 160, 3)
 
 
+@pytest.mark.slow
 def test_stopping_is_quick_whatever_the_camera_does(
     server: CameraServer, source: LiveSource
 ) -> None:
@@ -310,6 +321,7 @@ def test_stopping_is_quick_whatever_the_camera_does(
     assert time.monotonic() - begun < 20
 
 
+@pytest.mark.slow
 def test_a_file_is_played_at_its_own_pace_again_and_again(tmp_path: Path) -> None:
     path = tmp_path / "short.mp4"
     with VideoWriter(path, 64, 48, 10) as video:
@@ -345,6 +357,7 @@ def test_secrets_are_not_shown(text: str, secret: str) -> None:
     assert secret not in named(text)
 
 
+@pytest.mark.slow
 def test_what_a_source_says_has_no_secrets(server: CameraServer) -> None:
     server.kill()
     source = LiveSource(server.url.replace("http://", "http://admin:hunter2@"), connect=0.5)
