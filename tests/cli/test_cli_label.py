@@ -151,7 +151,7 @@ def test_what_comes_next_is_said_with_the_options_of_then(sequence, monkeypatch)
     )
     done = phdtrack(*shlex.split(command)[1:])
     assert "the detections are those of my marks." in done.err
-    assert "false alarms stay as shipped: " in done.out
+    assert "false alarms not learned, defaults kept: " in done.out
 
 
 def test_marks_go_to_other_tools_and_come_back(sequence, monkeypatch):

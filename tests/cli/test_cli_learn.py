@@ -173,7 +173,7 @@ def test_false_alarms_unattended(street, tmp_path):
         tmp_path / "short.json",
     )
     assert said.status == 2
-    assert "false alarms stay as shipped: learning: expected at least 10 detections" in said.out
+    assert "false alarms not learned, defaults kept: learning: expected at least 10 detections" in said.out
     assert "Look yourself" in said.out
 
 

@@ -107,7 +107,7 @@ def test_who_stays_among_lights_that_tremble_is_held_back(tmp_path: Path):
     assert 0.05 < said.object["followed"] < 0.6
     assert f"{100 * said.object['followed']:.2g} %" in scene.with_suffix(".html").read_text()
     # Not those whom the lights make.
-    assert "births stay as shipped" in said.err
+    assert "births not learned, defaults kept" in said.err
 
     def scores(name: str, *options: str | Path) -> dict:
         truth = ("--truth", yard / "gt" / "gt.txt", "--no-video", "--json")

@@ -12,7 +12,7 @@ from phdtrack.errors import InputError
 from phdtrack.formats import read_detections
 from phdtrack.formats.annotations import read_annotated
 from phdtrack.label import DRAWN, Label, LabelStore
-from phdtrack.label.exchange import Exchange, Taken, frames_of
+from phdtrack.label.exchange import Exchange, Imported, frames_of
 from phdtrack.types import Detections, DetectionTable, SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0, 100, "street")
@@ -64,8 +64,8 @@ def test_nothing_is_lost_on_the_way(marked, tmp_path, kind):
     given = read_annotated(path)
     again = exchange(tmp_path / "again.sqlite", frames=frames_of(given))
     for _ in range(2):
-        taken = again.take(given)
-        assert taken == Taken(false=2, objects=3, drawn=2, done=2, elsewhere=0, unmatched=0)
+        taken = again.import_file(given)
+        assert taken == Imported(false=2, objects=3, drawn=2, done=2, elsewhere=0, unmatched=0)
         assert again.store.labels() == marked.store.labels()
         assert who(again.store) == who(marked.store)
         assert (
@@ -86,8 +86,8 @@ def test_labels_of_other_detections_are_matched(marked, tmp_path, kind):
     places stay.
     """
     again = exchange(tmp_path / "again.sqlite", "xyz", shift=3.0)
-    taken = again.take(read_annotated(written(marked, tmp_path, kind)))
-    assert taken == Taken(false=2, objects=3, drawn=2, done=2, elsewhere=0, unmatched=0)
+    taken = again.import_file(read_annotated(written(marked, tmp_path, kind)))
+    assert taken == Imported(false=2, objects=3, drawn=2, done=2, elsewhere=0, unmatched=0)
     found = {(label.frame, label.box): label for label in again.store.labels()}
     assert found[30, 0] == Label(30, 0, "false")
     assert found[30, 1] == Label(30, 1, "true", MOVED)
@@ -98,7 +98,7 @@ def test_labels_of_other_detections_are_matched(marked, tmp_path, kind):
 def test_a_frame_is_done_if_the_file_has_all_its_detections(marked, tmp_path):
     """Here are detections in another place: nobody has said that they are true."""
     again = exchange(tmp_path / "again.sqlite", "xyz", shift=70.0)
-    taken = again.take(read_annotated(written(marked, tmp_path, "json")))
+    taken = again.import_file(read_annotated(written(marked, tmp_path, "json")))
     assert (taken.false, taken.done, taken.unmatched) == (0, 0, 2)
     assert [done for _, done in again.store.frames()] == [False] * 3
     assert all(label.box >= DRAWN for label in again.store.labels())
@@ -113,7 +113,7 @@ def test_what_was_edited_in_cvat_comes_back(marked, tmp_path):
     text = re.sub(r'(<image id="9".*?>)', rf"\1{new}", text).replace('xtl="400"', 'xtl="404"', 1)
     (tmp_path / "marks.xml").write_text(text, encoding="utf-8")
     again = exchange(tmp_path / "again.sqlite")
-    taken = again.take(read_annotated(tmp_path / "marks.xml"), "cvat")
+    taken = again.import_file(read_annotated(tmp_path / "marks.xml"), "cvat")
     assert (taken.false, taken.drawn, taken.done) == (2, 3, 2)
     (drawn,) = [label for label in again.store.labels(10) if label.box >= DRAWN]
     assert (drawn.place, drawn.who) == ((500, 10, 540, 90), "cvat")
@@ -148,21 +148,21 @@ def test_boxes_of_other_tools_are_places_and_missed_objects(tmp_path, text):
     made = exchange(tmp_path / "labels.sqlite")
     path.write_text(text)
     for _ in range(2):
-        taken = made.take(read_annotated(path), "eve")
-        assert taken == Taken(false=0, objects=1, drawn=1, done=0, elsewhere=1, unmatched=0)
+        taken = made.import_file(read_annotated(path), "eve")
+        assert taken == Imported(false=0, objects=1, drawn=1, done=0, elsewhere=1, unmatched=0)
         seen, drawn = made.store.labels()
         assert seen == Label(10, 1, "true", (200.0, 100.0, 244.0, 184.0))
         assert (drawn.frame, drawn.mark, drawn.place) == (10, "true", DREW)
         assert {seen.who, drawn.who} == {"eve"}
 
 
-def test_what_cannot_be_taken_is_refused_and_changes_nothing(tmp_path):
+def test_an_unusable_file_is_refused_and_changes_nothing(tmp_path):
     made = exchange(tmp_path / "labels.sqlite")
     path = tmp_path / "theirs"
     other = [{**image, "width": 1920, "height": 1080} for image in COCO["images"]]
     path.write_text(json.dumps(COCO | {"images": other}))
-    with pytest.raises(InputError, match=r"expected pictures of 640 x 480, came 1920 x 1080"):
-        made.take(read_annotated(path))
+    with pytest.raises(InputError, match=r"expected pictures of 640 x 480, got 1920 x 1080"):
+        made.import_file(read_annotated(path))
     assert made.store.labels() == []
     for text, words in (
         ("<dataset/>", "expected CVAT, whose outermost element"),

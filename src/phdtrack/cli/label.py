@@ -151,7 +151,7 @@ def _exchange(
     """Take the marks that were read, if any, and write all to a file, if one is named, which may be
     there if the second of ``to`` is true; say what was done."""
     if read:
-        it = labels.take(read, labeller)
+        it = labels.import_file(read, labeller)
         objects = f"{counted(it.objects, 'object')} with a detection, {it.drawn} without"
         output.say(
             f"taken: {counted(it.false, 'false alarm')}, {objects}; {counted(it.done, 'frame')}"

@@ -1,4 +1,4 @@
-"""What people say about detections: which are false, what was missed, where objects enter."""
+"""Labels of detections by people: false alarms, missed objects, and where objects enter."""
 
 from phdtrack.label.store import DRAWN, Label, LabelStore, Mark, Progress
 

@@ -1,14 +1,13 @@
-"""Marks in the formats of other labelling tools: CSV, COCO and CVAT are written, COCO and CVAT are
-read again.
+"""Labels in the formats of other tools: CSV, COCO and CVAT are written, COCO and CVAT are read.
 
-In COCO and CVAT there is a picture for each frame to label, which says whether it is done, and a
-box for each object and each false alarm: what is marked or drawn, and on frames that are done the
-detections without a mark, too, which are true. A box has the attributes ``mark``, ``labeller`` and
-``box``, its number. So phdtrack reads all of it again, and another tool the objects by their label.
+COCO and CVAT files have a picture for each frame to label, with an attribute if it is done, and a
+box for each object and each false alarm: marked and drawn boxes, and on done frames the detections
+without a mark, which are true. A box has the attributes ``mark``, ``labeller`` and ``box``, its
+number. So phdtrack reads everything back, and other tools read the objects by their label.
 
-Boxes that another tool drew, or phdtrack on other detections, are matched with the detections of
-their frame, so that the sum of their overlaps (IoU, each of at least `ALIKE`) is largest: a box
-with a detection is its true place, one without was missed.
+Boxes of another tool, or of other detections, are matched with the detections of their frame so
+that the sum of their overlaps (IoU, each at least `ALIKE`) is largest: a matched box is the true
+place of its detection, an unmatched one is a missed object.
 """
 
 from __future__ import annotations
@@ -35,14 +34,15 @@ from phdtrack.types import DetectionTable, SequenceInfo
 
 _OBJECT = "object"
 _FALSE = "false alarm"
-# Files have two decimals: what differs by no more, in pixels, is in the same place.
+# Files have two decimals: boxes that differ by no more, in pixels, are in the same place.
 _SAME = 0.02
 _CORNERS = ("xtl", "ytl", "xbr", "ybr")
 
 
-class Taken(NamedTuple):
-    """What was taken of a file: marks by what they say, and frames that are done; and what was not:
-    boxes on frames that are not to be labelled, and false alarms that are no detections here."""
+class Imported(NamedTuple):
+    """Counts of an import: marks by kind and done frames; boxes on frames that are not to be
+    labelled, and false alarms that match no detection.
+    """
 
     false: int
     objects: int
@@ -53,9 +53,7 @@ class Taken(NamedTuple):
 
 
 def frames_of(given: AnnotationFile) -> list[int]:
-    """The frames to label in a file that phdtrack wrote, in their order; none in those of
-    others.
-    """
+    """The frames to label in a file that phdtrack wrote, in order; empty for other files."""
     order = [
         (place, one["frame"])
         for one in given.pictures
@@ -66,7 +64,7 @@ def frames_of(given: AnnotationFile) -> list[int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exchange:
-    """The labels, the detections that they are on, and the sequence, with the number of its
+    """Export and import of labels: the store, its detections, and the sequence with its number of
     frames.
     """
 
@@ -78,18 +76,17 @@ class Exchange:
         """The labels as ``csv``, ``json`` (COCO) or ``xml`` (CVAT "for images 1.1")."""
         return {"csv": self._csv, "json": self._coco, "xml": self._cvat}[kind]()
 
-    def take(self, given: AnnotationFile, labeller: str = "") -> Taken:
-        """Keep what a file says as marks of those who made them, or of ``labeller`` where it does
-        not say who.
+    def import_file(self, given: AnnotationFile, labeller: str = "") -> Imported:
+        """Save the marks of a file, with its labellers' names, or ``labeller`` for marks without.
 
         A frame is done if the file says so and has a box for each of its detections. Raises
-        `InputError` where the file is of pictures of another size; nothing has changed then.
+        `InputError` if the pictures have another size; nothing changes then.
         """
         for one in given.pictures:
             size = [_whole(one.get(name)) for name in ("width", "height")]
             if all(size) and self.info.width and size != [self.info.width, self.info.height]:
                 problem = (
-                    f"expected pictures of {self.info.width} x {self.info.height}, came {size[0]} x"
+                    f"expected pictures of {self.info.width} x {self.info.height}, got {size[0]} x"
                     f" {size[1]}"
                 )
                 raise InputError(
@@ -100,7 +97,7 @@ class Exchange:
         digest = given.about.get("detections")
         drawn = [number for number, _ in self.store.frames()]
         last = self.info.frames
-        # Marks of a clip belong to the frame that it is about.
+        # Marks in a clip belong to the drawn frame of the clip.
         home = {frame: number for number in drawn for frame in clip(number, last)} | {
             number: number for number in drawn
         }
@@ -134,7 +131,7 @@ class Exchange:
                 done += 1
         marks = Counter("drawn" if label.box >= DRAWN else label.mark for label in all_made)
         unmatched = sum(map(len, by_frame.values())) - len(all_made)
-        return Taken(
+        return Imported(
             marks["false"],
             marks["true"] + marks["birth"],
             marks["drawn"],
@@ -144,8 +141,9 @@ class Exchange:
         )
 
     def _labels(self, frame: int, boxes: list[dict[str, Any]], digest: str | None) -> list[Label]:
-        """What the boxes of one frame say, ``none`` for true detections as they are; ``digest`` is
-        of the detections that they were written with, None where that is not known."""
+        """The labels of the boxes of one frame, ``none`` for unchanged true detections; ``digest``
+        is that of the detections in the file, None if it is not known.
+        """
         found = self.table.at(frame).xyxy
         known = [one for one in self.store.labels(frame) if one.box >= DRAWN]
         numbers = [*range(len(found)), *(one.box for one in known)]
@@ -177,8 +175,8 @@ class Exchange:
                 continue
             free += number == free
             moved = number >= DRAWN or float(np.abs(corners[i] - found[number]).max()) > _SAME
-            # What phdtrack wrote of other detections is where those were; what somebody edited is
-            # where he put it.
+            # Boxes that phdtrack wrote of other detections are where those were; edited boxes are
+            # where the labeller put them.
             if mark == "none" and moved and (number >= DRAWN or digest is None):
                 mark = "true"
             place = cast(tuple[float, float, float, float], tuple(corners[i].tolist()))
@@ -192,8 +190,8 @@ class Exchange:
         return made
 
     def _known(self) -> Iterator[tuple[Label, list[float]]]:
-        """What is marked, and what is true on frames that are done, with its corners; by frame and
-        box.
+        """The labels, and ``none`` for unmarked detections of done frames, with their corners; by
+        frame and box.
         """
         labels = {(label.frame, label.box): label for label in self.store.labels()}
         for number, done in self.store.frames():
@@ -207,7 +205,9 @@ class Exchange:
             yield one, [round(value, 2) for value in place]
 
     def _pictures(self) -> dict[int, dict[str, Any]]:
-        """What is said of the frames to label, and nothing of others that have marks; by number."""
+        """The attributes of each picture by frame number; empty for frames that are not to be
+        labelled but have marks.
+        """
         pictures: dict[int, dict[str, Any]] = {label.frame: {} for label in self.store.labels()}
         pictures |= {
             number: {"order": k, "done": done}
@@ -295,7 +295,7 @@ def _whole(value: object) -> int | None:
 
 
 def _attributes(values: dict[str, Any]) -> str:
-    """CVAT's attributes; truth values are its words."""
+    """Attributes as CVAT writes them."""
     words = {
         name: str(value).lower() if isinstance(value, bool) else str(value)
         for name, value in values.items()

@@ -1,5 +1,5 @@
-"""The page on which a person marks false detections and births: what it shows. `live.serving`
-decides who may use it.
+"""The content of the page on which a person marks false detections and births. `web.guard` decides
+who may use it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from phdtrack.scene.training import FALSE_BOXES, MIN_BIRTHS, box_density, learn_
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
 from phdtrack.web.endpoints import JSON, endpoint, static
 
-# Of answers of a media type: pictures never change, and the labels are a file to keep.
+# Headers of answers by media type: pictures never change, and labels are a file to download.
 _OF_TYPE = {
     "image/jpeg": {"Cache-Control": "private, max-age=86400, immutable"},
     "text/csv": {"Content-Disposition": 'attachment; filename="labels.csv"'},
@@ -38,27 +38,25 @@ _OF_TYPE = {
     "text/xml": {"Content-Disposition": 'attachment; filename="labels.cvat.xml"'},
 }
 STATIC = Path(__file__).parent / "static"
-# A map is drawn from so many marks on, in red or green (BGR), of this width.
+# Marks from which on a map is drawn, and its width; colours are BGR.
 _MIN_MARKS = 10
 _MAP_WIDTH = 320
-# Marks that may be anywhere, as a share, from which on it is in doubt whether there are places.
+# Share of marks without a place above which cross-validation decides if there are places.
 _DOUBT = 0.5
 _COLOURS = {"false": (40, 40, 220), "birth": (90, 170, 30)}
 _OUTLINE = (62, 210, 255)
 _GREY = 96
-# Crops that are shown at once; the next ones follow when these are dealt with. Their size in
-# pixels.
+# Crops that are shown at once, and their size in pixels.
 _CROPS = 600
 _SIDE = 96
-# Marks that may be sent at once.
+# Marks in one request.
 MAX_MARKS = 10_000
 
 
 class Sent(BaseModel):
-    """What the page sends to change a frame: marks and who made them, or whether it has been looked
-    at.
+    """A request that changes a frame: marks and their labeller, or if the frame is done.
 
-    ``key`` tells that the same is sent again.
+    A repeated request has the same ``key``.
     """
 
     marks: Annotated[list[Label], Field(max_length=MAX_MARKS)] = []
@@ -69,17 +67,16 @@ class Sent(BaseModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
-    """What a person who labels looks at; a mapping or a list is sent as JSON, bytes as a picture.
+    """The answers of the page; a mapping or a list is sent as JSON, bytes as a picture.
 
     Attributes
     ----------
-    store : keeps the marks.
+    store : the labels.
     table, info : the detections, and the sequence, with the number of its frames.
-    stills : the frames as JPEG by number, those of the clips too, of any size; the others are shown
-        grey.
-    background : looks for what may be false; None where nothing does.
-    command : learns from the marks, in a terminal.
-    labeller : name of who labels, unless somebody gives another one on the page.
+    stills : frames as JPEG by number, also those of the clips, of any size; others are grey.
+    background : looks for suggestions; None without them.
+    command : the shell command that learns from the marks.
+    labeller : name of the labeller, unless the page gives another one.
     """
 
     store: LabelStore
@@ -96,14 +93,14 @@ class Session:
         return Exchange(self.store, self.table, self.info)
 
     def learn(self, progress: Progress) -> str:
-        """The command that learns from the marks: births, too, where enough of them were marked."""
+        """The command that learns from the marks; births too, if enough of them are marked."""
         if progress.births >= MIN_BIRTHS:
             return f"{self.command} --births hand"
         return self.command
 
     def overview(self) -> dict[str, object]:
-        """Size, name, the file of labels (its name, and where it is ``kept``), how far each frame
-        is, and the progress.
+        """Size, name, the file of labels (its name, and the path where it is ``kept``), the state
+        of each frame, and the progress.
         """
         info = self.info
         clips = [(number, done, clip(number, info.frames)) for number, done in self.store.frames()]
@@ -124,15 +121,14 @@ class Session:
         }
 
     def disputes(self) -> list[tuple[int, int, dict[str, str]]]:
-        """(frame, box, what each labeller says) of the boxes of which several say different
-        things.
-        """
-        return [(*box, said) for box, said in self.store.disputes().items()]
+        """(frame, box, mark by labeller) of the boxes that labellers mark differently."""
+        return [(*box, marks) for box, marks in self.store.disputes().items()]
 
     def frame(self, number: int, who: str = "") -> dict[str, object]:
-        """The boxes of a frame (left, top, right, bottom, score), by their numbers the marks, who
-        made them, and the places of those that were drawn or moved; whether it is done, what
-        ``who`` can undo."""
+        """The boxes of a frame (left, top, right, bottom, score); by box the marks, their
+        labellers, and the places of drawn or moved boxes; if it is done, and what ``who`` can undo
+        and redo.
+        """
         found = self._boxes(number)
         labels = self.store.labels(number)
         undo, redo = self.store.steps(number, who)
@@ -157,9 +153,7 @@ class Session:
         return _encoded(grey)
 
     def crop(self, number: int, box: int) -> bytes:
-        """The picture of one detection, outlined, with what is around it, of at most 96 × 96
-        pixels.
-        """
+        """The picture of one detection, outlined, with its surroundings, at most 96 × 96 pixels."""
         image = cv2.imdecode(np.frombuffer(self.still(number), np.uint8), cv2.IMREAD_COLOR)
         assert image is not None
         corners = (self._box(number, box) * image.shape[1] / self.info.width).reshape(2, 2)
@@ -178,8 +172,8 @@ class Session:
         return _encoded(part)
 
     def alike(self, number: int, box: int) -> list[tuple[int, int]]:
-        """(frame, box) of the unmarked detections on all frames to label that lie where this one
-        does, itself included.
+        """(frame, box) of the unmarked detections on all frames to label in the place of this one,
+        itself included.
         """
         this = self._box(number, box)
         marked = self._marked
@@ -190,11 +184,11 @@ class Session:
         return found
 
     def suggestions(self) -> dict[str, object]:
-        """What may be false, worst first, of what has no mark: frame, box, reason, score, place;
-        how far it is.
+        """Suggested false alarms without a mark, worst first: frame, box, reason, score, place; and
+        the progress of the search.
 
-        ``ticked`` is the score from which it is taken for false unless a person says otherwise,
-        ``more`` the number of suggestions that are left out for now.
+        ``ticked`` is the score from which a suggestion is preselected, ``more`` the number of
+        suggestions that are left out for now.
         """
         work = self.background
         marked = self._marked
@@ -213,8 +207,9 @@ class Session:
         }
 
     def place_map(self, mark: str) -> dict[str, object]:
-        """What was ``learned`` of the marked boxes' places so far, if anything was, and a
-        ``picture`` of it as an address: coloured where they are likely, clear where not."""
+        """True as ``learned`` if the marked boxes have likely places, and a ``picture`` of these as
+        a data address: coloured where boxes are likely, clear elsewhere.
+        """
         if mark not in _COLOURS:
             raise InputError(f"expected {' or '.join(_COLOURS)}, got {mark!r}")
         scale = min(1.0, _MAP_WIDTH / self.info.width)
@@ -224,27 +219,24 @@ class Session:
         if learned := boxes.shape[1] >= _MIN_MARKS:
             size = (float(self.info.width), float(self.info.height))
             density = box_density(boxes, size)
-            # Where it is in doubt it is asked how well the places predict marks that they were not
-            # learned from.
+            # In doubt, cross-validation shows how well the places predict other marks.
             if density.uniform >= _DOUBT:
                 density = learn_boxes(boxes, 1, size, FALSE_BOXES).learned.density
             learned = density.has_places
         if learned:
             picture[..., :3] = _COLOURS[mark]
-            # By the square root a place a quarter as likely as the worst is still plain to see.
+            # The square root keeps a place visible that is a quarter as likely as the worst.
             picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)
         data = base64.b64encode(_encoded(picture, ".png")).decode()
         return {"learned": learned, "picture": f"data:image/png;base64,{data}"}
 
     def _change(self, number: int, what: str, sent: bytes) -> dict[str, object]:
-        """The frame and the progress after its marks were changed; ``what`` is marks, undo, redo or
-        done.
+        """Change a frame; return it and the progress. ``what`` is marks, undo, redo or done.
 
-        Raises `InputError` where what was ``sent``, `Sent` as JSON, cannot be used; nothing has
-        changed then.
+        Raises `InputError` if ``sent`` is no `Sent` as JSON; nothing changes then.
         """
         try:
-            told = Sent.model_validate_json(sent)
+            change = Sent.model_validate_json(sent)
         except ValidationError as error:
             first = error.errors()[0]
             raise InputError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
@@ -253,29 +245,30 @@ class Session:
         match what:
             case "marks":
                 found = {
-                    number: self._boxes(number) for number in {label.frame for label in told.marks}
+                    number: self._boxes(number)
+                    for number in {label.frame for label in change.marks}
                 }
-                for label in told.marks:
+                for label in change.marks:
                     if label.box < DRAWN:
                         _checked(found[label.frame], label.frame, label.box)
-                store.mark(number, told.marks, told.who, told.key)
+                store.mark(number, change.marks, change.who, change.key)
             case "undo" | "redo":
-                store.undo(number, told.key, told.who, again=what == "redo")
+                store.undo(number, change.key, change.who, again=what == "redo")
             case "done":
-                store.finish(number, told.done, told.key, told.who)
+                store.finish(number, change.done, change.key, change.who)
             case _:
                 raise InputError(f"nothing is called {what}")
-        return self.frame(number, told.who) | {"progress": self._progress()}
+        return self.frame(number, change.who) | {"progress": self._progress()}
 
     def _progress(self) -> dict[str, object]:
-        """How far the work is, and what to do ``next`` when all frames are done."""
+        """The progress, and the ``next`` command when all frames are done."""
         progress = self.store.progress()
         return asdict(progress) | {
             "next": self.learn(progress) if progress.done == progress.frames else ""
         }
 
     def _boxes(self, number: int) -> Detections:
-        """The detections of a frame to label, or of the clip about one."""
+        """The detections of a frame to label, or of the clip around one."""
         if not any(number in clip(known, self.info.frames) for known, _ in self.store.frames()):
             raise InputError(f"frame {number} is not one of those to label")
         return self.table.at(number)
@@ -298,7 +291,7 @@ def _checked(found: Detections, number: int, box: int) -> F8:
 
 
 def label_app(session: Session) -> Starlette:
-    """The application; `Guard` belongs around it."""
+    """The application, without `web.guard`."""
     answers: dict[str, tuple[Callable[..., object], str]] = {
         "/": ((STATIC / "label.html").read_bytes, "text/html; charset=utf-8"),
         "/api/overview": (session.overview, JSON),

@@ -1,9 +1,8 @@
-"""A scene from a tracker's own tracks, a person's marks, and what would be suggested to a person
-[M09 §IV].
+"""Scene training from tracks, from a person's marks, or from suggestions [M09 §IV].
 
-Where a person has marked false alarms, a run with these false alarms in its model shows which of
-them are followed all the same: flickering light moves as little as a person who stands. Tracks that
-stay among them are no births, and `associate.rejection` withholds them.
+If a person has marked false alarms, a run with these in its model shows which of them are tracked
+all the same: flickering light moves as little as a standing person. Tracks that stay among them are
+no births, and `associate.rejection` withholds them.
 """
 
 from __future__ import annotations
@@ -39,8 +38,7 @@ from phdtrack.scene.training import (
 )
 from phdtrack.types import DetectionTable, SequenceInfo, Tracks
 
-# Frames, drawn at random, whose suggestions are taken where no person labels: M09's false alarms
-# were of as many.
+# Frames, drawn at random, whose suggestions are used if no person labels: as many as in M09.
 UNATTENDED = 200
 LIMITS = (
     "No person has checked them. A person who sits or stands in one place for nine tenths of the"
@@ -52,9 +50,10 @@ LIMITS = (
 
 
 class TrainingResult(NamedTuple):
-    """What was learned of births or of false alarms, None for nothing, and its ``gain`` in nats per
-    unseen sample above the uniform density, NaN where that is not known; what is said of it;
-    ``source``, where it comes from, in words."""
+    """What was learned of births or of false alarms, None for nothing; its ``gain`` over the
+    uniform density in nats per unseen sample, NaN if it is not known; a ``sentence`` about it; and
+    its ``source`` in words.
+    """
 
     learned: LearnedDensity | None
     gain: float
@@ -63,9 +62,7 @@ class TrainingResult(NamedTuple):
 
 
 class Trained(NamedTuple):
-    """The scene, what was learned of births and of false alarms, and everything that is said of it,
-    in order.
-    """
+    """The scene, the results for births and for false alarms, and all sentences about them."""
 
     scene: Scene
     births: TrainingResult
@@ -75,7 +72,7 @@ class Trained(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneTraining:
-    """What is learned from.
+    """The material of scene training.
 
     Attributes
     ----------
@@ -83,9 +80,8 @@ class SceneTraining:
     info, table : the sequence and its detections.
     stretch : the frames to learn from.
     stages, seed : how to track.
-    marks, labels : a person's, None where there are none, and the file in which they were looked
-        for.
-    advance : is called with the number of frames tracked.
+    marks, labels : a person's marks, None if there are none, and their file.
+    advance : called with the number of frames tracked.
     """
 
     source: str
@@ -102,16 +98,16 @@ class SceneTraining:
         """The scene from ``births`` of "tracks" or marked by "hand", and ``clutter`` of "labels" or
         "unattended".
 
-        Raises `InputError` where targets are not boxes in the image.
+        Raises `InputError` if targets are not boxes in the image.
         """
         if len(self.stages.model.sensor.observed) != 4:
             problem = "a scene is learned for boxes in the image only"
             raise InputError(problem, where="motion.kind", cure="Use motion.kind=box")
         if clutter == "unattended":
-            alarms = self._lesson("false alarms", self._unattended_clutter, LIMITS)
+            alarms = self._trained("false alarms", self._unattended_clutter, LIMITS)
             marked = None
         else:
-            alarms = self._lesson("false alarms", self._marked_clutter)
+            alarms = self._trained("false alarms", self._marked_clutter)
             marked = alarms.learned
         sentences = [alarms.sentence]
         tracks = Tracks.empty()
@@ -121,7 +117,7 @@ class SceneTraining:
         if marked is not None:
             tracks, followed, sentence = self._without_followed(marked, tracks)
             sentences.append(sentence)
-        born = self._lesson(
+        born = self._trained(
             "births",
             self._marked_births if births == "hand" else partial(self._births_of_tracks, tracks),
         )
@@ -142,17 +138,17 @@ class SceneTraining:
         scene = Scene(*size, rate, self.source, born.learned, alarms.learned, notes, followed)
         return Trained(scene, born, alarms, (*sentences, born.sentence))
 
-    def _lesson(
+    def _trained(
         self, part: str, learn: Callable[[], tuple[Training, str]], limits: str = ""
     ) -> TrainingResult:
-        """What ``learn`` gives, with what it says of it and its gain on unseen samples; why
-        nothing, where it fails.
+        """The result of ``learn``, with a sentence and its gain on unseen samples; if it fails, the
+        reason.
         """
         try:
             training, text = learn()
             learned = self._with_prior(training.learned)
         except InputError as error:
-            return TrainingResult(None, math.nan, f"{part} stay as shipped: {error}")
+            return TrainingResult(None, math.nan, f"{part} not learned, defaults kept: {error}")
         gain = "too few samples to measure the gain"
         if math.isfinite(training.gain):
             gain = (
@@ -188,7 +184,7 @@ class SceneTraining:
         return training, text
 
     def _unattended_clutter(self) -> tuple[Training, str]:
-        """False alarms from what would be suggested to a person."""
+        """False alarms from the suggestions that a person would get."""
         frames = [
             self.stretch.start + k - 1 for k in shuffled(len(self.stretch), self.seed)[:UNATTENDED]
         ]
@@ -221,9 +217,10 @@ class SceneTraining:
     def _without_followed(
         self, alarms: LearnedDensity, tracks: Tracks
     ) -> tuple[Tracks, TrackedObjects | None, str]:
-        """The tracks of a run that knew the marked false alarms, but for those that stay among
-        them; which of the false alarms it followed all the same, None where that is not known; and
-        a sentence about it."""
+        """The tracks of a run that knew the marked false alarms, without those that stay among
+        them; the false alarms that it tracked all the same, None if that is not known; and a
+        sentence.
+        """
         marks = self._marked
         try:
             training = learn_boxes(
@@ -242,9 +239,8 @@ class SceneTraining:
         return kept, followed, f"{text}; tracks that stay among them are held back"
 
     def _objects_of_tracks(self, tracks: Tracks) -> TrackedObjects | None:
-        """Where the tracks' detections are, in place of objects that a person has marked: births
-        are likelier or rarer there only in relation to them. None with too few detections; no track
-        is held back.
+        """The density of tracked detections, in place of marked objects, to which birth places are
+        compared. None with too few detections; no track is held back.
         """
         frames = [
             self.stretch.start + k - 1 for k in shuffled(len(self.stretch), self.seed)[:UNATTENDED]
@@ -257,9 +253,8 @@ class SceneTraining:
         return TrackedObjects(0.0, self._with_prior(training.learned))
 
     def _births_of_tracks(self, tracks: Tracks) -> tuple[Training, str]:
-        """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV].
-        Raises `InputError` if they show no place: nobody has looked, and births that are as
-        likely everywhere as before are better left as they are.
+        """Births from the moving tracks of the tracker itself [M09 §IV]. Raises `InputError` if no
+        place is likelier than others: the default births are better then.
         """
         fps = self.info.fps
         rate = self.stages.model.rate
@@ -272,7 +267,7 @@ class SceneTraining:
         return training, text
 
     def _marked_births(self) -> tuple[Training, str]:
-        """Births from marks on the clips about the frames that a person has looked at."""
+        """Births from marks on the clips around done frames."""
         marks = self._marked
         rate = self.stages.model.rate
         states = marks.birth_states(rate)
@@ -291,13 +286,13 @@ class SceneTraining:
 
     @property
     def _marked(self) -> Marks:
-        """The marks. Raises `InputError` where there are none."""
+        """The marks. Raises `InputError` if there are none."""
         if self.marks is None:
             raise InputError(f"no marks were found (phdtrack label, kept in {self.labels})")
         return self.marks
 
     def _tracked(self, alarms: LearnedDensity | None = None) -> Evidence:
-        """What a tracker makes of the stretch that knows these false alarms."""
+        """The result on the stretch of a tracker that knows these false alarms."""
         model = self.stages.model
         stages = self.stages
         if alarms is not None:
@@ -312,7 +307,7 @@ class SceneTraining:
         return Evidence.of(self.table, self.info.fps, self.stretch, stages, self.seed, self.advance)
 
     def _with_prior(self, learned: LearnedDensity) -> LearnedDensity:
-        """What was learned, and a little of any size detected in the stretch."""
+        """The learned density, mixed with a little of all sizes detected in the stretch."""
         table = self.table
         rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
         return with_prior(learned, to_cxcywh(table.detections.xyxy[rows])[2:])

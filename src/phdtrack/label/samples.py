@@ -1,11 +1,10 @@
-"""What is learned from a person's marks: false alarms, objects, and the states of targets that
-enter [M09 §IV].
+"""Samples from a person's marks: false alarms, objects, and the states of entering targets
+[M09 §IV].
 
-A drawn frame is hardly ever the one in which a target enters. So births are looked for on the short
-clip about each drawn frame, and the mark goes on the first box of a target that was not there in
-the frame before. Nothing comes before the first frame of a clip: births are not counted on it. The
-number of marks over the number of the other frames, each once where clips overlap, is the rate of
-births without bias.
+A target rarely enters in a frame that was drawn at random. So births are marked on the short clip
+around each drawn frame, on the first box of a target that the frame before does not show. The first
+frame of a clip has no frame before: its births are not counted. The number of marks divided by the
+number of other frames, each once if clips overlap, is an unbiased estimate of the birth rate.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ from phdtrack.arrays import to_cxcywh
 from phdtrack.label.store import DRAWN, Label, LabelStore
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks
 
-# Frames of a sequence: five days at 25 a second.
+# Longest sequence in frames: five days at 25 a second.
 LONGEST = 10_000_000
-# Frames of a clip before the drawn one, and behind it.
+# Frames of a clip before the drawn one, and after it.
 REACH = 10
-# Frames behind a mark whose detections give the velocity, and how many of them at least.
+# Frames after a mark whose detections give the velocity, and how many of them are needed.
 _LINKS = 3
 _MIN_LINKS = 2
-# A box may move by so many of its sizes √(wh) from one frame to the next, in a second and through
-# its own error, and grow or shrink by such a factor.
+# A box moves at most this many of its sizes √(wh) in a second, plus this error, and grows or
+# shrinks at most by this factor.
 _SPEED = 6.0
 _ERROR = 0.3
 _GROWTH = 1.5
@@ -40,13 +39,13 @@ def shuffled(last: int, seed: int) -> list[int]:
 
 
 def clip(number: int, last: int) -> range:
-    """The frames about the drawn frame ``number`` of a sequence that ends with frame ``last``."""
+    """The frames around the drawn frame ``number`` of a sequence that ends with frame ``last``."""
     return range(max(1, number - REACH), min(last, number + REACH) + 1)
 
 
 def boxes_of(labels: list[Label], table: DetectionTable) -> F8:
-    """(4, n) centres and sizes of the labelled boxes, pixels: where they were drawn or moved to,
-    else the detections'.
+    """(4, n) centres and sizes of the labelled boxes in pixels: as drawn or moved, otherwise as
+    detected.
     """
     places = [
         table.at(one.frame).xyxy[one.box] if one.place is None else one.place for one in labels
@@ -56,13 +55,12 @@ def boxes_of(labels: list[Label], table: DetectionTable) -> F8:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """What the marks say of a stretch of frames.
+    """The marks in a stretch of frames, as samples.
 
     Attributes
     ----------
-    store, table, info : the labels, the detections that they are on, the sequence, with the number
-        of its frames.
-    stretch : the frames that count, which end with the sequence or before; all where it is None.
+    store, table, info : the labels, their detections, the sequence with its number of frames.
+    stretch : the frames that count, all of the sequence; None for all.
     """
 
     store: LabelStore
@@ -72,23 +70,19 @@ class Marks:
 
     @property
     def looked_at(self) -> list[int]:
-        """The drawn frames that have been looked at. On other frames more may be false, or
-        enter.
-        """
+        """The drawn frames that are done; only their marks are complete."""
         return [number for number, done in self.store.frames() if done and number in self._frames]
 
     @property
     def false_boxes(self) -> F8:
-        """(4, n) centres and sizes, pixels, of the boxes that are marked as false on frames that
-        were `looked_at`.
-        """
+        """(4, n) centres and sizes in pixels of the boxes marked as false on done frames."""
         return boxes_of(self._false, self.table)
 
     @property
     def object_boxes(self) -> F8:
-        """(4, n) centres and sizes, pixels, of the objects on frames that were `looked_at`: the
-        detections that are not marked as false, where somebody moved them to if so, and behind them
-        the `missed` ones."""
+        """(4, n) centres and sizes in pixels of the objects on done frames: the detections that are
+        not marked as false, moved if a person moved them, followed by the `missed` objects.
+        """
         marked = {(label.frame, label.box): label for label in self.store.labels()}
         seen = (
             marked.get((n, k), Label(n, k, "none"))
@@ -99,20 +93,17 @@ class Marks:
 
     @property
     def missed(self) -> list[Label]:
-        """The objects that the detector missed on frames that were `looked_at`: boxes that a person
-        has drawn.
-        """
+        """The objects that the detector missed on done frames: boxes that a person drew."""
         done = set(self.looked_at)
         return [
             label for label in self.store.labels() if label.box >= DRAWN and label.frame in done
         ]
 
     def share_followed(self, tracks: Tracks) -> float:
-        """The share of the boxes marked as false, on frames that were `looked_at`, that carry one
-        of the tracks.
+        """The share of the boxes marked as false on done frames that belong to a track.
 
-        It is (k + 1)/(n + 2) for k of n, Laplace's rule: none of a few does not mean that there
-        never will be one. The tracks are made of the same detections.
+        It is (k + 1)/(n + 2) for k of n, Laplace's rule, so that few samples do not give 0. The
+        tracks are of the same detections.
         """
         false = {(label.frame, label.box) for label in self._false}
         followed = false.intersection(
@@ -122,23 +113,23 @@ class Marks:
 
     @property
     def watched(self) -> I8:
-        """(n,) the frames in which births were looked for, ascending: the clips of all frames that
-        were `looked_at`.
+        """(n,) the frames in which births were looked for, ascending: the clips of all done
+        frames.
         """
         clips = [clip(number, self._frames.stop - 1)[1:] for number in self.looked_at]
         seen = {frame for frames in clips for frame in frames if frame > self._frames.start}
         return np.array(sorted(seen), np.int64)
 
     def time_watched(self, rate: float) -> float:
-        """The time in which births were looked for, in units of which a second has ``rate``."""
+        """The time in which births were looked for, in units of 1/``rate`` seconds."""
         return len(self.watched) / self.info.fps * rate
 
     def birth_states(self, rate: float) -> F8:
-        """(6, n) states (px, py, vx, vy, w, h) of the boxes marked as births in the frames that
-        were `watched` [M09 §IV].
+        """(6, n) states (px, py, vx, vy, w, h) of the boxes marked as births in the `watched`
+        frames [M09 §IV].
 
-        Pixels, and velocities in pixels per unit of time, of which a second has ``rate``; NaN where
-        a box could not be linked to two of the next three frames' detections.
+        In pixels and pixels per unit of time, 1/``rate`` seconds; NaN if a box could not be linked
+        to detections in two of the next three frames.
         """
         counted = set(self.watched.tolist())
         scale = self.info.fps / rate
@@ -171,18 +162,18 @@ class Marks:
 
 
 def _velocity(table: DetectionTable, birth: Label, fps: float) -> F8:
-    """(2,) pixels per frame: the slope of the straight line through the box's centre and those that
-    go on from it.
+    """(2,) velocity in pixels per frame: the slope of the straight line through the centres of the
+    box and of the detections linked to it.
     """
-    # A box that was drawn is none of the detections.
+    # A drawn box is no detection.
     own = birth.box if birth.box < DRAWN else -1
     frames = [birth.frame]
     boxes = [boxes_of([birth], table)[:, 0]]
     slope = np.zeros(2)
     for number in range(birth.frame + 1, birth.frame + 1 + _LINKS):
         passed = number - frames[-1]
-        expected = np.concatenate([boxes[-1][:2] + passed * slope, boxes[-1][2:]])
-        own = _next(table, number, expected, own, _ERROR + _SPEED / fps * passed)
+        predicted = np.concatenate([boxes[-1][:2] + passed * slope, boxes[-1][2:]])
+        own = _next(table, number, predicted, own, _ERROR + _SPEED / fps * passed)
         if own >= 0:
             frames.append(number)
             boxes.append(to_cxcywh(table.at(number).xyxy)[:, own])
@@ -192,14 +183,14 @@ def _velocity(table: DetectionTable, birth: Label, fps: float) -> F8:
     return np.full(2, math.nan)
 
 
-def _next(table: DetectionTable, number: int, expected: F8, own: int, gate: float) -> int:
-    """Which detection of frame ``number`` is the ``expected`` box (4,); −1 for none.
+def _next(table: DetectionTable, number: int, predicted: F8, own: int, gate: float) -> int:
+    """The detection of frame ``number`` that continues the ``predicted`` box (4,); −1 for none.
 
-    It is the nearest in the gate, unless another box of the frame before, not ``own``, is nearer to
+    It is the nearest in the gate, unless a box of the frame before other than ``own`` is nearer to
     it.
     """
     found, before = (to_cxcywh(table.at(frame).xyxy) for frame in (number, number - 1))
-    offset, growth = _apart(expected, found)
+    offset, growth = _apart(predicted, found)
     distance = np.where((offset <= gate) & (growth <= math.log(_GROWTH)), offset + growth, math.inf)
     if not np.isfinite(distance).any():
         return -1
@@ -214,8 +205,8 @@ def _next(table: DetectionTable, number: int, expected: F8, own: int, gate: floa
 
 
 def _apart(box: F8, others: F8) -> tuple[F8, F8]:
-    """How far the centres of ``others`` (4, n) lie from that of ``box`` (4,), in its sizes, and how
-    their sizes differ.
+    """Distances of the centres of ``others`` (4, n) from that of ``box`` (4,), in its sizes, and
+    the log ratios of their sizes.
     """
     offset = np.hypot(*(others[:2] - box[:2, None])) / math.sqrt(box[2] * box[3])
     growth = np.abs(np.log(others[2:] / box[2:, None])).max(axis=0)

@@ -1,12 +1,11 @@
-"""Labels of detections in one SQLite file: every mark is kept the moment it is made, by however
-many people at once.
+"""Labels of detections in one SQLite file: each mark is saved at once, from several people at a
+time.
 
-A file is a list of actions, each of one or more marks, or that a frame is done, and of who made it;
-nothing is ever overwritten. The last mark on a box, or on a frame, whose action is not undone
-counts, whoever made it. So undoing is a flag, which people set on their own actions only, and of
-two people who mark the same box both keep their click: where they disagree, `LabelStore.disputes`
-says it. A page that does not know whether its click arrived sends it again: what carries a ``key``
-that the file has seen changes nothing.
+A file is a list of actions. An action is one or more marks, or a frame that is done, and the name
+of its labeller; nothing is ever overwritten. The last mark on a box or frame whose action is not
+undone counts, whoever made it. Undoing sets a flag, on own actions only. If two people mark the
+same box, both marks are kept, and `LabelStore.disputes` lists where they differ. A page that does
+not know if its request arrived repeats it: a ``key`` that the file has seen changes nothing.
 """
 
 from __future__ import annotations
@@ -26,21 +25,21 @@ from phdtrack.errors import InputError
 from phdtrack.types import DetectionTable, Truth
 
 Mark = Literal["false", "birth", "true", "none"]
-"""``false``: the detector is wrong there. ``birth``: a target enters there. ``true``: an object is
-where the box was drawn or moved to. ``none``: nothing of these, after all; a drawn box is gone
-then."""
+"""``false``: a false alarm. ``birth``: a target enters there. ``true``: an object is where the box
+was drawn or moved to. ``none``: none of these any more; a drawn box is deleted.
+"""
 MARKS: tuple[str, ...] = get_args(Mark)
 DRAWN = 1_000_000_000
-"""Boxes with numbers from this one on are not detections: they were drawn about objects that the
-detector missed.
+"""The number of the first box that is no detection: drawn around an object that the detector
+missed.
 """
 FORMAT = "2"
 _EARLIER = "1"
 NO_OBJECT = 0.3
-"""A box whose overlap (IoU) with every object is below this is on none."""
-# Pixels within which a place is.
+"""Overlap (IoU) with every object below which a box is on no object."""
+# Largest coordinate of a place in pixels.
 _FAR = 1e6
-# Seconds to wait while another person's click is written.
+# Seconds to wait while another action is written.
 _TIMEOUT = 30.0
 
 _TABLES = """
@@ -50,22 +49,24 @@ CREATE TABLE IF NOT EXISTS frame (
     number INTEGER PRIMARY KEY, place INTEGER NOT NULL, done INTEGER NOT NULL DEFAULT 0
 ) STRICT;
 CREATE TABLE IF NOT EXISTS action (
-    id INTEGER PRIMARY KEY AUTOINCREMENT, frame INTEGER NOT NULL, who TEXT NOT NULL, undone INTEGER NOT NULL DEFAULT 0,
+    id INTEGER PRIMARY KEY AUTOINCREMENT, frame INTEGER NOT NULL, who TEXT NOT NULL,
+    undone INTEGER NOT NULL DEFAULT 0,
     made TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
 ) STRICT;
 CREATE TABLE IF NOT EXISTS mark (
-    action INTEGER NOT NULL REFERENCES action (id), frame INTEGER NOT NULL, box INTEGER NOT NULL, mark TEXT NOT NULL,
-    PRIMARY KEY (action, frame, box)
+    action INTEGER NOT NULL REFERENCES action (id), frame INTEGER NOT NULL, box INTEGER NOT NULL,
+    mark TEXT NOT NULL, PRIMARY KEY (action, frame, box)
 ) STRICT;
 CREATE TABLE IF NOT EXISTS place (
     action INTEGER NOT NULL REFERENCES action (id), frame INTEGER NOT NULL, box INTEGER NOT NULL,
-    x1 REAL NOT NULL, y1 REAL NOT NULL, x2 REAL NOT NULL, y2 REAL NOT NULL, PRIMARY KEY (action, frame, box)
+    x1 REAL NOT NULL, y1 REAL NOT NULL, x2 REAL NOT NULL, y2 REAL NOT NULL,
+    PRIMARY KEY (action, frame, box)
 ) STRICT;
 CREATE TABLE IF NOT EXISTS request (key TEXT PRIMARY KEY) STRICT;
 CREATE INDEX IF NOT EXISTS mark_by_box ON mark (frame, box, action);
 """
-# What says of a frame, not of a box, whether it is done; files of before may have it beside the
-# frame's number only.
+# The box number of a mark that says if its frame is done; older files have that beside the frame's
+# number only.
 _FRAME = -1
 _FRAMES = f"""
 SELECT number, coalesce((
@@ -73,30 +74,34 @@ SELECT number, coalesce((
     WHERE a.undone = 0 AND m.frame = number AND m.box = {_FRAME} ORDER BY a.id DESC LIMIT 1
 ), done) FROM frame ORDER BY place
 """
-# Of a frame the actions of one person, and those of nobody by name.
+# The actions on a frame by one person, and those without a name.
 _OWN = "frame = ? AND who IN (?, '')"
-# SQLite takes the columns beside max(…) from the row that has the maximum.
+# SQLite takes the other columns from the row that has the maximum.
 _CURRENT = """
-SELECT m.frame, m.box, m.mark, a.who, x1, y1, x2, y2, max(m.action) FROM mark m JOIN action a ON a.id = m.action
+SELECT m.frame, m.box, m.mark, a.who, x1, y1, x2, y2, max(m.action)
+FROM mark m JOIN action a ON a.id = m.action
 LEFT JOIN place p ON p.action = m.action AND p.frame = m.frame AND p.box = m.box
-WHERE a.undone = 0 AND m.box >= 0 AND m.frame = coalesce(?, m.frame) GROUP BY m.frame, m.box ORDER BY m.frame, m.box
+WHERE a.undone = 0 AND m.box >= 0 AND m.frame = coalesce(?, m.frame)
+GROUP BY m.frame, m.box ORDER BY m.frame, m.box
 """
 # The last mark of each person, for boxes that several have marked.
 _BY_PERSON = """
 SELECT frame, box, who, mark FROM (
-    SELECT m.frame, m.box, a.who, m.mark, max(m.action), count(*) OVER (PARTITION BY m.frame, m.box) people
-    FROM mark m JOIN action a ON a.id = m.action WHERE a.undone = 0 AND m.box >= 0 GROUP BY m.frame, m.box, a.who
+    SELECT m.frame, m.box, a.who, m.mark, max(m.action),
+        count(*) OVER (PARTITION BY m.frame, m.box) people
+    FROM mark m JOIN action a ON a.id = m.action
+    WHERE a.undone = 0 AND m.box >= 0 GROUP BY m.frame, m.box, a.who
 ) WHERE people > 1 ORDER BY frame, box, who
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What a box is: ``box`` counts from 0 among the detections of ``frame``, or from `DRAWN` for a
-    box that was drawn.
+    """The mark on a box. ``box`` counts from 0 among the detections of ``frame``, or from `DRAWN`
+    for a drawn box.
 
-    ``place`` (left, top, right, bottom; pixels) is where a person has drawn the box or moved it to,
-    None for the detection's own. ``who`` made the mark; labels are compared without it.
+    ``place`` (left, top, right, bottom; pixels) is where a person drew the box or moved it to, None
+    for the detection's own. ``who`` is the labeller; comparisons ignore it.
     """
 
     frame: int
@@ -108,8 +113,8 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Frames looked at, of how many; on all of them boxes marked as false, as births, and drawn;
-    those in dispute.
+    """Number of frames that are done, and of all; of boxes marked as false, as births, and drawn;
+    and of disputed boxes.
     """
 
     done: int
@@ -122,7 +127,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class LabelStore:
-    """The labels in one file. Every method opens it, does one thing wholly or not at all, and
+    """The labels in one file. Each method opens it, does one thing completely or not at all, and
     closes it.
     """
 
@@ -130,15 +135,14 @@ class LabelStore:
 
     @classmethod
     def open(cls, path: Path, source: str, digest: str, frames: Sequence[int]) -> LabelStore:
-        """The labels of some detections; the file is made where there is none, gone on with where
-        there is. Raises `InputError` where it is that of other detections, or no file of labels.
+        """The labels of some detections; a missing file is made, an existing one continued. Raises
+        `InputError` if it is of other detections, or no file of labels.
 
         Parameters
         ----------
         path : of the file.
         source, digest : name of the video or file, and a digest of its detections.
-        frames : numbers to label, in the order to show them; those that a file holds already stay,
-            in front.
+        frames : numbers to label, in the order to show them; those in the file stay in front.
         """
         store = cls(path)
         about = {
@@ -180,42 +184,40 @@ class LabelStore:
 
     @property
     def name(self) -> str:
-        """A random name that the file keeps for good, wherever it is moved."""
+        """A random name that the file keeps when it is moved."""
         return str(self._rows("SELECT value FROM about WHERE name = 'name'")[0][0])
 
     @property
     def digest(self) -> str:
-        """That of the detections that are labelled."""
+        """The digest of the detections that are labelled."""
         return str(self._rows("SELECT value FROM about WHERE name = 'detections'")[0][0])
 
     @property
     def ports(self) -> range:
-        """Ports for the page of this file, the same each time: what a browser keeps for one port is
-        not seen on others.
-        """
+        """Ports for the page of this file, always the same: a browser stores data by port."""
         first = 20_000 + int(self.name, 16) % 12_000
         return range(first, first + 8)
 
     def mark(self, frame: int, marks: Iterable[Label], who: str = "", key: str = "") -> None:
-        """Keep marks as one action; of two on one box the last counts. Raises `InputError` for no
-        mark, an unknown one, and a place that is none or that the mark cannot have.
+        """Save marks as one action; of two on one box the last counts. Raises `InputError` for no
+        mark, an unknown one, and a place that is invalid or that the mark cannot have.
 
         Parameters
         ----------
-        frame : that was looked at meanwhile; the marks may be on others.
+        frame : the frame on the page; the marks may be on others.
         marks : one or more.
-        who, key : a name, and what tells that the same is sent again.
+        who, key : the labeller, and a text by which a repeated request is recognised.
         """
-        given = list(marks)
-        if not given:
+        labels = list(marks)
+        if not labels:
             raise InputError("expected a mark or more", where=f"frame {frame}")
-        for label in given:
+        for label in labels:
             _check(label)
-        self._act(frame, given, who, key)
+        self._act(frame, labels, who, key)
 
     def mark_false(self, table: DetectionTable, truth: Truth) -> None:
-        """Mark the detections that are on no annotated object, `NO_OBJECT`, on all frames, which
-        are done then.
+        """Mark the detections that are on no annotated object (`NO_OBJECT`) as false, on all
+        frames, and set these done.
 
         Parameters
         ----------
@@ -230,13 +232,13 @@ class LabelStore:
             self.finish(number)
 
     def undo(self, frame: int, key: str = "", who: str = "", *, again: bool = False) -> None:
-        """Take back the last action on a frame, if there is one.
+        """Undo the last action on a frame, if there is one.
 
         Parameters
         ----------
         frame : its number.
-        who, key : as in `mark`; actions of nobody by name are everybody's.
-        again : the other way: make the action that was undone last count again.
+        who, key : as in `mark`; actions without a name are everybody's.
+        again : redo the action that was undone last instead.
         """
         chosen = (
             f"SELECT {'min' if again else 'max'}(id) FROM action WHERE {_OWN} AND undone ="
@@ -248,19 +250,19 @@ class LabelStore:
         )
 
     def finish(self, frame: int, done: bool = True, key: str = "", who: str = "") -> None:
-        """Say that a frame has been looked at, which `undo` takes back. One without false boxes is
-        looked at too.
+        """Set a frame done: a person has looked at it. `undo` takes that back. Frames without false
+        boxes are set done too.
 
         Parameters
         ----------
         frame : its number.
-        done : False where it has not been looked at after all.
+        done : False for a frame that is not done after all.
         who, key : as in `mark`.
         """
         self._act(frame, [Label(frame, _FRAME, cast(Mark, "done" if done else "none"))], who, key)
 
     def steps(self, frame: int, who: str = "") -> tuple[int, int]:
-        """How many actions on ``frame`` ``who`` can undo and redo."""
+        """Number of actions on ``frame`` that ``who`` can undo, and redo."""
         known = [
             undone
             for (undone,) in self._rows(f"SELECT undone FROM action WHERE {_OWN}", frame, who)
@@ -268,8 +270,8 @@ class LabelStore:
         return known.count(0), known.count(1)
 
     def labels(self, frame: int | None = None) -> list[Label]:
-        """What every marked box is, or those of one ``frame``; boxes marked as ``none`` again are
-        not listed.
+        """The labels of all boxes, or of one ``frame``; boxes that are marked ``none`` are left
+        out.
         """
         return [
             Label(number, box, mark, None if place[0] is None else tuple(place), who)
@@ -278,24 +280,23 @@ class LabelStore:
         ]
 
     def disputes(self) -> dict[tuple[int, int], dict[str, str]]:
-        """By frame and box: who says what of the boxes of which several people say different
-        things, each by the last mark.
+        """The boxes that labellers mark differently: by frame and box, each labeller's last mark.
 
-        A detection that somebody took a mark off again, and one that was moved, is true to them.
+        A detection whose mark a labeller removed, or that he moved, counts as true.
         """
-        said = dict[tuple[int, int], dict[str, str]]()
+        marks_of = dict[tuple[int, int], dict[str, str]]()
         for frame, box, who, mark in self._rows(_BY_PERSON):
-            said.setdefault((frame, box), {})[who] = (
+            marks_of.setdefault((frame, box), {})[who] = (
                 "true" if mark == "none" and box < DRAWN else mark
             )
-        return {box: marks for box, marks in said.items() if len(set(marks.values())) > 1}
+        return {box: marks for box, marks in marks_of.items() if len(set(marks.values())) > 1}
 
     def frames(self) -> list[tuple[int, bool]]:
-        """The frames to label in the order to show them, and which of them have been looked at."""
+        """The frames to label in the order to show them, with True for those that are done."""
         return [(number, bool(done)) for number, done in self._rows(_FRAMES)]
 
     def progress(self) -> Progress:
-        """How far the work is."""
+        """The progress of the work."""
         done = [done for _, done in self.frames()]
         labels = self.labels()
         marks = [label.mark for label in labels]
@@ -309,18 +310,17 @@ class LabelStore:
             len(self.disputes()),
         )
 
-    def _rows(self, question: str, *values: int | str | None) -> list[tuple[Any, ...]]:
-        """The answer to a question."""
+    def _rows(self, query: str, *values: int | str | None) -> list[tuple[Any, ...]]:
+        """The rows that a query returns."""
         with self._connection() as db:
-            return db.execute(question, values).fetchall()
+            return db.execute(query, values).fetchall()
 
     def _act(self, frame: int, labels: Sequence[Label], who: str, key: str) -> None:
-        """Keep labels as one action made on ``frame``; of two on one box the last."""
+        """Save labels as one action on ``frame``; of two on one box the last."""
         last = {(label.frame, label.box): label for label in labels}.values()
         self._change(
             key,
-            # What was undone before is gone for good once something new was done: redoing would mix
-            # the two.
+            # A new action makes undone ones final: redoing them would mix the two.
             (f"UPDATE action SET undone = 2 WHERE {_OWN} AND undone = 1", [(frame, who)]),
             ("INSERT INTO action (frame, who) VALUES (?, ?)", [(frame, who)]),
             (
@@ -334,12 +334,10 @@ class LabelStore:
         )
 
     def _change(self, key: str, *steps: tuple[str, Sequence[tuple[object, ...]]]) -> None:
-        """Take all steps, a statement and its rows each, or none of them where ``key`` has been
-        seen before.
-        """
+        """Execute all steps, each a statement and its rows, or none if ``key`` has been seen."""
         with self._connection() as db, db:
-            # From the start no other connection writes: what is read first must still hold when it
-            # is written.
+            # No other connection writes from here on: what is read must still hold when it is
+            # written.
             db.execute("BEGIN IMMEDIATE")
             if key and not db.execute("INSERT OR IGNORE INTO request VALUES (?)", (key,)).rowcount:
                 return
@@ -347,14 +345,14 @@ class LabelStore:
                 db.executemany(statement, rows)
 
     def _connection(self) -> closing[sqlite3.Connection]:
-        """An open connection; a click is on the disk when the page learns that it was kept."""
+        """An open connection; an action is on disk before the page is told that it is saved."""
         db = sqlite3.connect(self.path, timeout=_TIMEOUT)
         db.execute("PRAGMA synchronous = FULL")
         return closing(db)
 
 
 def _check(label: Label) -> None:
-    """Raise `InputError` where a box cannot be what the label says."""
+    """Raise `InputError` if a box cannot have this mark or place."""
     box = label.box
     mark = label.mark
     place = label.place

@@ -1,23 +1,24 @@
-"""Which detections may be false, for a person to confirm: by what a tracker with uniform models
-made of them.
+"""Suggestions of false alarms, for a person to confirm, from the result of a tracker with uniform
+models.
 
-Three reasons, each with a score from 0 to 1:
+There are three reasons, each with a score from 0 to 1:
 
-``place``     Its place fires too often. A *still* detection is one that no track holds that moves
-there. Such ones at one
-              place and of one size (IoU ≥ ½) come from something that stays: from an object, on n
-              frames with n ~ Poisson(s · fps) if it stays for s seconds, in few runs. A place that
-              fires does so all along: the n of T frames in which it does are drawn at random, with
-              n(T − n + 1)/T runs [Wald and Wolfowitz 1940], or, where it fires in bursts, it leaves
-              hardly any s seconds out. The score is P(N < n), times how far one of the two holds.
-``rejected``  The filter took it for clutter and no track rests on it: its posterior probability
-κ/(κ + C) of being clutter. ``short``     Its track was short and hardly moved, or there were too
-few detections for a track. At most 0.4, halved with
-              each second of its life: of such detections more are true than false, so that they are
-              only shown.
+``place``
+    There are too many detections in its place. A *still* detection is one of no moving track.
+    Still detections in one place and of one size (IoU ≥ ½) come from an object that stays, or from
+    a place of false alarms. An object that stays for s seconds gives n ~ Poisson(s · fps) of them,
+    in few runs. False alarms occur all the time: on n of T frames at random, in n(T − n + 1)/T runs
+    [Wald and Wolfowitz 1940], or in bursts with hardly any gap of s seconds. The score is P(N < n)
+    times the degree to which one of the two holds.
+``rejected``
+    The filter rejected it as clutter and no track uses it. The score is its posterior probability
+    κ/(κ + C) of being clutter.
+``short``
+    Its track was short and hardly moved, or it has no track. The score is at most 0.4, halved with
+    each second of the track's life. Most such detections are true, so they are only shown.
 
-None of them is proof: a person who sits there for the whole stretch looks like a place that fires;
-one who is hidden half of the time, in a crowd, is rejected.
+None of them is proof: a person sitting in one place all the time looks like a place of false
+alarms, and a person hidden half of the time in a crowd is rejected.
 """
 
 from __future__ import annotations
@@ -38,32 +39,31 @@ from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
 Reason = Literal["place", "rejected", "short"]
 REASONS: tuple[Reason, ...] = get_args(Reason)
-# Above this score a suggestion is taken for false unless a person says otherwise; below the other
-# nothing is suggested.
+# Score from which a suggestion is preselected, and from which it is shown.
 TICKED = 0.9
 SHOWN = 0.2
-# Boxes are in the same place and of the same size at this overlap (IoU).
+# Overlap (IoU) from which boxes are in the same place and of the same size.
 ALIKE = 0.5
-# Boxes of one place scatter: what overlaps by so much with one that it is known by belongs to it.
+# Boxes of one place scatter: overlap (IoU) with a box of a place from which a box belongs to it.
 _SAME = 0.25
-# s, seconds that an object stays in one place. The speed, sizes √(wh) per second, from which a
-# track goes somewhere.
+# s, seconds that an object stays in one place. Speed, in sizes √(wh) per second, from which a track
+# moves.
 STAY = 4.0
 SLOW = 0.5
-# Runs, as part of those that frames at random would make, and windows of s seconds with a
-# detection, as part of all: from where on they speak for a place that fires, and where they leave
-# no doubt. Fewer windows than these tell nothing.
+# Runs, as a share of those of random frames, and windows of s seconds with a detection, as a share
+# of all: where they begin to indicate a place of false alarms, and where they leave no doubt. Fewer
+# windows than these say nothing.
 _RUNS = (0.5, 0.8)
 _SPREAD = (0.8, 0.95)
 _WINDOWS = 15
-# Seconds up to which a track is short, and its score at most.
+# Seconds up to which a track is short, and its largest score.
 SHORT = 1.0
 _MAX_SHORT = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What a tracker with uniform models made of the detections of a stretch.
+    """The result of a tracker with uniform models on the detections of a stretch.
 
     Attributes
     ----------
@@ -88,16 +88,16 @@ class Evidence:
         seed: int = 0,
         advance: Callable[[int], object] = id,
     ) -> Evidence:
-        """What a tracker makes of the detections of some frames.
+        """The result of a tracker on the detections of some frames.
 
-        A filter that says nothing of false alarms (`filters.none`) leaves all probabilities at 0.
+        A filter that does not report false alarms (`filters.none`) leaves all probabilities at 0.
 
         Parameters
         ----------
         table, fps : of the whole sequence.
         frames : the stretch.
         stages, seed : how to track.
-        advance : is called with the number of frames done.
+        advance : called with the number of frames done.
         """
         rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
         rng = np.random.default_rng(seed)
@@ -107,8 +107,8 @@ class Evidence:
             for number in frames_walked(table, frames.stop - 1, fps)
             if number >= frames.start
         )
-        given = ((number, (number - 1) / fps, table.at(number)) for number in walked)
-        for after, step in pipeline.run(stages, given, rng):
+        inputs = ((number, (number - 1) / fps, table.at(number)) for number in walked)
+        for after, step in pipeline.run(stages, inputs, rng):
             state = after
             found = step.info.clutter_probability
             clutter.append(found if len(found) else np.zeros(len(step.detections)))
@@ -123,8 +123,8 @@ class Suggestion(NamedTuple):
     Attributes
     ----------
     frame, box : the frame, and the number of the detection in it, from 0.
-    reason, score : why, and how likely, from 0 to 1, it is false.
-    place : number of the place that fires, −1 for other reasons.
+    reason, score : the reason, and from 0 to 1 how likely it is false.
+    place : number of the place of false alarms, −1 for other reasons.
     """
 
     frame: int
@@ -135,22 +135,20 @@ class Suggestion(NamedTuple):
 
 
 def suggest(evidence: Evidence, frames: Sequence[int]) -> list[Suggestion]:
-    """What may be false among the detections of some frames, worst first; outside the stretch there
-    is nothing.
-    """
+    """Suggestions among the detections of some frames, worst first; none outside the stretch."""
     table = evidence.table
     fps = evidence.fps
     own = _tracks_of(table, evidence.tracks)
     speed, span = _lives(table, own, fps)
-    asked = np.isin(table.frame, np.asarray(frames, np.int64))
+    requested = np.isin(table.frame, np.asarray(frames, np.int64))
     goes = speed >= SLOW
-    place, fires = _places(evidence, ~goes, asked & ~goes)
+    place, fires = _places(evidence, ~goes, requested & ~goes)
     rejected = np.where(own >= 0, 0.0, evidence.clutter)
     short = np.where(~goes & (span < SHORT), _MAX_SHORT * 0.5**span * (1 - speed / SLOW), 0.0)
     scores = np.stack([fires, rejected, short])
     reason = scores.argmax(axis=0)
     score = scores.max(axis=0)
-    rows = np.flatnonzero(asked & (score >= SHOWN))
+    rows = np.flatnonzero(requested & (score >= SHOWN))
     rows = rows[np.argsort(-score[rows], kind="stable")]
     within = rows - np.searchsorted(table.frame, table.frame[rows])
     place = np.where(reason == 0, place, -1)
@@ -165,7 +163,7 @@ def suggest(evidence: Evidence, frames: Sequence[int]) -> list[Suggestion]:
 
 
 def _tracks_of(table: DetectionTable, tracks: Tracks) -> I8:
-    """(M,) which track, counted from 0, holds each detection; −1 for none."""
+    """(M,) the track of each detection, counted from 0; −1 for none."""
     own = np.full(len(table), -1)
     rests = tracks.detection >= 0
     _, which = np.unique(tracks.identity[rests], return_inverse=True)
@@ -174,10 +172,10 @@ def _tracks_of(table: DetectionTable, tracks: Tracks) -> I8:
 
 
 def _lives(table: DetectionTable, own: I8, fps: float) -> tuple[F8, F8]:
-    """(M,) how fast each detection's track goes there, sizes per second, and how long it lives,
-    seconds; 0 without one.
+    """(M,) speed of each detection's track there in sizes per second, and (M,) its duration in
+    seconds; 0 without a track.
 
-    The speed is the way between the means over the seconds before and behind.
+    The speed is the distance between the means over the second before and the second after.
     """
     box = to_cxcywh(table.detections.xyxy)
     speed, span = np.zeros((2, len(table)))
@@ -197,14 +195,14 @@ def _lives(table: DetectionTable, own: I8, fps: float) -> tuple[F8, F8]:
     return speed, span
 
 
-def _places(evidence: Evidence, still: Bool, asked: Bool) -> tuple[I8, F8]:
-    """(M,) which place each of the ``asked`` detections belongs to, −1 for none, and how surely it
-    fires too often.
+def _places(evidence: Evidence, still: Bool, requested: Bool) -> tuple[I8, F8]:
+    """(M,) the place of each ``requested`` detection, −1 for none, and (M,) the score of that
+    place.
     """
     frame = evidence.table.frame
     xyxy = evidence.table.detections.xyxy
     rows = np.flatnonzero(still)
-    candidates = np.flatnonzero(asked)
+    candidates = np.flatnonzero(requested)
     where = np.full(len(frame), -1)
     score = np.zeros(len(frame))
     fired = [frame[rows[_alike(xyxy[k], xyxy[rows])]] for k in candidates]
@@ -234,9 +232,7 @@ def _places(evidence: Evidence, still: Bool, asked: Bool) -> tuple[I8, F8]:
 
 
 def _fires(frame: I8, evidence: Evidence) -> float:
-    """How surely a place fires by itself that has still detections in these frames of the
-    stretch.
-    """
+    """The score of a place that has still detections in these frames of the stretch."""
     from scipy.special import gammaincc
 
     hits = np.unique(frame) - evidence.frames.start
@@ -255,16 +251,16 @@ def _fires(frame: I8, evidence: Evidence) -> float:
 
 
 def _alike(box: F8, others: F8) -> I8:
-    """Which of ``others`` (n, 4) are in the place and of the size of ``box`` (4,)."""
+    """Indices of the ``others`` (n, 4) in the place and of the size of ``box`` (4,)."""
     return np.flatnonzero(iou(box[None], others)[0] >= ALIKE)
 
 
 class Background:
-    """Makes suggestions in a thread.
+    """A search for suggestions in a thread.
 
-    ``share`` of the work is done; ``found`` are the suggestions when they are there; ``problem`` is
-    why there will be none. ``work`` gets a function that reports the share that is done, and raises
-    where it fails.
+    ``share`` of the work is done; ``found`` are the suggestions, None before they are complete;
+    ``problem`` is the reason if there will be none. ``work`` gets a function that reports the share
+    that is done, and raises if it fails.
     """
 
     def __init__(self, work: Callable[[Callable[[float], None]], list[Suggestion]]) -> None:

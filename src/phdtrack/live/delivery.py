@@ -1,8 +1,8 @@
-"""Sends events on: to a webhook, and by MQTT. What could not be sent is sent later, in its order,
-also after a restart.
+"""Delivery of events to webhooks and by MQTT. Events that could not be sent are sent later, in
+order, also after a restart.
 
-A receiver may get an event twice, when its answer is lost: ``id`` is the same then (also in the
-header Idempotency-Key).
+A receiver may get an event twice if its answer is lost; ``id`` is the same then (also in the header
+Idempotency-Key).
 """
 
 from __future__ import annotations
@@ -25,26 +25,28 @@ from urllib.parse import SplitResult, unquote, urlsplit
 from phdtrack.errors import InputError, needed
 from phdtrack.live.outputs import EventLog
 
-# Seconds without a word, and of a whole delivery once the name is looked up.
+# Seconds without an answer, and of a whole delivery after the name is looked up.
 TIMEOUT = 10.0
 WHOLE = 30.0
 FIRST_PAUSE = 1.0
 LONGEST_PAUSE = 300.0
-# IPv6 that a gateway makes IPv4 of; all other addresses of single machines.
+# IPv6 addresses that a gateway translates to IPv4; all other addresses of single machines.
 _NAT64 = ipaddress.IPv6Network("64:ff9b::/96")
 _UNICAST = ipaddress.IPv6Network("2000::/3")
 Send = Callable[[str, str], None]
-"""Sends an event, by its identifier and its JSON. Raises `OSError` where it did not arrive."""
+"""A function that sends an event, given its identifier and JSON. Raises `OSError` if it did not
+arrive.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Webhook:
-    """Posts each event as JSON to an address, with its user and password, where it has them
-    (Basic).
+    """A webhook: each event is posted as JSON, with the user and password in the address (Basic).
 
-    The address is looked up each time, and the connection goes to what was looked up: a name that
-    leads to this machine or to a private network is refused, unless ``private`` networks are
-    allowed. Redirections are not followed. From the look-up on it takes half a minute at most.
+    The name is looked up each time, and the connection goes to an address that was found: a name
+    that leads to this machine or to a private network is refused, unless ``private`` networks are
+    allowed. Redirections are not followed. A delivery takes at most half a minute after the
+    look-up.
     """
 
     url: str
@@ -58,7 +60,7 @@ class Webhook:
             )
 
     def __call__(self, name: str, event: str) -> None:
-        """Post one event; `OSError` where no answer says that it arrived."""
+        """Post one event. Raises `OSError` unless an answer confirms it."""
         parts = urlsplit(self.url)
         host = str(parts.hostname)
         port = parts.port or (443 if parts.scheme == "https" else 80)
@@ -67,7 +69,7 @@ class Webhook:
             connection.sock, end = self._connected(host, port)
             if parts.scheme == "https":
                 context = ssl.create_default_context()
-                # It greets below, where time is limited.
+                # The handshake follows below, where time is limited.
                 connection.sock = context.wrap_socket(
                     connection.sock, False, False, server_hostname=host
                 )
@@ -89,14 +91,15 @@ class Webhook:
             raise OSError(f"the answer was {status}")
 
     def _connected(self, host: str, port: int) -> tuple[socket.socket, float]:
-        """A connection to what the name leads to, and until when it may last; `OSError` where that
-        is not allowed, or none of it answers."""
+        """A connection to an address of this name, and the time at which it must end. Raises
+        `OSError` if the address is not allowed, or none answers.
+        """
         try:
             found = [
                 str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
             ]
         except UnicodeError as error:
-            raise OSError(f"{host} is no name") from error
+            raise OSError(f"{host} is not a valid name") from error
         if not self.private and not all(map(_public, found)):
             raise PermissionError(f"{host} is in a private network: allow it with --allow-private")
         end = time.monotonic() + WHOLE
@@ -107,7 +110,7 @@ class Webhook:
 
 
 def _left(end: float) -> float:
-    """How long may be waited for a word. Raises `TimeoutError` where it is later than ``end``."""
+    """Seconds to wait for an answer. Raises `TimeoutError` after ``end``."""
     if time.monotonic() >= end:
         raise TimeoutError(f"it took more than {WHOLE:g} s")
     return min(TIMEOUT, end - time.monotonic())
@@ -115,13 +118,13 @@ def _left(end: float) -> float:
 
 @contextmanager
 def _until(end: float, sock: socket.socket) -> Iterator[None]:
-    """Cuts the connection at ``end``, and raises `TimeoutError` then: its own time-out begins anew
+    """Cut the connection at ``end`` and raise `TimeoutError`; the socket's own time-out begins anew
     with each byte.
     """
 
     def cut() -> None:
         with suppress(OSError):
-            # Not that of TLS, which another thread is using.
+            # Not the TLS socket's shutdown: another thread uses that socket.
             socket.socket.shutdown(sock, socket.SHUT_RDWR)
 
     timer = threading.Timer(end - time.monotonic(), cut)
@@ -131,12 +134,12 @@ def _until(end: float, sock: socket.socket) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
-        # What was cut may look like an answer.
+        # An answer that was cut may look complete.
         _left(end)
 
 
 def _public(text: str) -> bool:
-    """Whether an address is on the internet; of IPv6 that stands for IPv4 what it stands for."""
+    """True if an address is on the internet; IPv6 forms of IPv4 addresses count as IPv4."""
     address = ipaddress.ip_address(text)
     if isinstance(address, ipaddress.IPv6Address):
         if address in _NAT64:
@@ -151,7 +154,7 @@ def _public(text: str) -> bool:
 
 
 def _parts(url: str, where: str) -> SplitResult:
-    """The parts of an address. Raises `InputError` for what is none."""
+    """The parts of an address. Raises `InputError` if it is invalid."""
     with suppress(ValueError):
         parts = urlsplit(url)
         if parts.port != 0 and url.isascii() and url.isprintable() and " " not in url:
@@ -166,7 +169,7 @@ class Mqtt:
     """Publishes each event to ``topic``/kind of a broker
     (``mqtt://[user:password@]host[:port]/topic``), at least once.
 
-    Raises `InputError` where the address is none, or paho-mqtt is missing.
+    Raises `InputError` if the address is invalid, or paho-mqtt is missing.
     """
 
     def __init__(self, url: str) -> None:
@@ -180,47 +183,47 @@ class Mqtt:
         self._topic = parts.path.strip("/") or "phdtrack"
         if set(self._topic) & set("+#"):
             raise InputError("expected a topic without the wildcards + and #", where="--mqtt")
-        # The event that was given to the client last, and its number there; the numbers that the
-        # broker has confirmed.
-        self._given = ("", 0)
+        # The last event that the client got, and its number there; the numbers that the broker has
+        # confirmed.
+        self._published = ("", 0)
         self._confirmed = set[int]()
         self._news = threading.Condition()
         self._host = parts.hostname
         self._port = parts.port or (8883 if parts.scheme == "mqtts" else 1883)
         self._client: Any = client.Client(enums.CallbackAPIVersion.VERSION2)
-        self._client.on_publish = self._heard
+        self._client.on_publish = self._confirm
         if parts.username:
             self._client.username_pw_set(unquote(parts.username), unquote(parts.password or ""))
         if parts.scheme == "mqtts":
             self._client.tls_set()
 
     def __call__(self, name: str, event: str) -> None:
-        """Publish one event; `OSError` where the broker does not confirm it in ten seconds."""
+        """Publish one event. Raises `OSError` if the broker does not confirm it in ten seconds."""
         if not self._client.is_connected():
             self._client.connect(self._host, self._port)
             self._client.loop_start()
-        if self._given[0] != name:
-            # The client itself sends again what is not confirmed, also over a new connection: given
-            # twice it comes twice.
+        if self._published[0] != name:
+            # The client itself repeats unconfirmed events, also over a new connection: an event
+            # that is published twice arrives twice.
             topic = f"{self._topic}/{json.loads(event)['kind']}"
-            self._given = name, int(self._client.publish(topic, event, qos=1).mid)
+            self._published = name, int(self._client.publish(topic, event, qos=1).mid)
         with self._news:
-            if not self._news.wait_for(lambda: self._given[1] in self._confirmed, TIMEOUT):
+            if not self._news.wait_for(lambda: self._published[1] in self._confirmed, TIMEOUT):
                 raise OSError("the broker did not confirm")
             self._confirmed.clear()
 
-    def _heard(self, client: Any, data: Any, number: int, *more: Any) -> None:
-        """The broker has confirmed an event."""
+    def _confirm(self, client: Any, data: Any, number: int, *more: Any) -> None:
+        """Take note that the broker has confirmed an event."""
         with self._news:
             self._confirmed.add(number)
             self._news.notify_all()
 
 
 def receivers(addresses: Iterable[str]) -> list[str]:
-    """A name for each address, by which it is known after a restart, too.
+    """A name for each address, which stays the same after a restart.
 
-    It is the hash of host, port and path: user, password and query may be renewed, and are written
-    nowhere. Those that are alike in it are numbered. Raises `InputError` for what is no address.
+    It is a hash of host, port and path; user, password and query may change, and are written
+    nowhere. Equal names are numbered. Raises `InputError` for an invalid address.
     """
     found = list[str]()
     for address in addresses:
@@ -238,8 +241,8 @@ def receivers(addresses: Iterable[str]) -> list[str]:
 
 
 class Courier:
-    """Delivers what waits in a log, in a thread of its own: on each failure it waits twice as long,
-    at most five minutes.
+    """Delivers the events that wait in a log, in a thread of its own. After each failure it waits
+    twice as long, at most five minutes.
 
     ``receiver`` is its name in the log, from `receivers`.
     """
@@ -250,7 +253,7 @@ class Courier:
         self._receiver = receiver
         self.problem = ""
         log.register(receiver)
-        # The row of the event that it got last: to write that down may fail.
+        # The row of the last event that was sent: to record it may fail.
         self._sent = 0
         self._wake = threading.Event()
         self._stopped = threading.Event()
@@ -258,11 +261,11 @@ class Courier:
         self._thread.start()
 
     def wake(self) -> None:
-        """Say that there are new events."""
+        """Signal new events."""
         self._wake.set()
 
     def stop(self, patience: float = 1.0) -> None:
-        """Deliver no more; what waits is kept."""
+        """Stop delivering; waiting events are kept."""
         self._stopped.set()
         self._wake.set()
         self._thread.join(patience)

@@ -1,13 +1,11 @@
-"""What happens in front of a camera, as events: who appears and leaves, crosses a line, enters and
-leaves a zone.
+"""Events of online tracks: a track appears or leaves, crosses a line, enters or leaves a zone.
 
 `Watch.advance` is a pure function of the state and a frame's online rows. Only confirmed rows
-count. Between two sightings of a track its anchor is taken to have moved straight: who is lost
+count. Between two sightings a track's anchor is assumed to move straight: a track that is lost
 before a line and found behind it has crossed it.
 
-A track that trembles on a border counts once: a line is crossed when the anchor is clear of it by
-the hysteresis on the other side, and a zone is left when it is outside by that much. The hysteresis
-is a share of the box's height.
+Hysteresis, a share of the box's height, makes a jittering track count once: it crosses a line when
+its anchor is that far on the other side, and leaves a zone when it is that far outside.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from phdtrack.groups.life_cycle import Event as GroupEvent
 from phdtrack.live.zones import Place, Point
 from phdtrack.types import F8, Tracks
 
-# Cells of the maps across; a cell forgets half of what it knows in so many seconds.
+# Cells of a map across, and the half-life of their counts in seconds.
 CELLS = 64
 HALF_LIFE = 3600.0
 Kind = Literal["appear", "leave", "cross", "enter", "exit", "dwell", "group"]
@@ -33,16 +31,16 @@ Kind = Literal["appear", "leave", "cross", "enter", "exit", "dwell", "group"]
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened.
+    """An event.
 
     Attributes
     ----------
     kind : ``appear``, ``leave``; ``cross`` of a line; ``enter``, ``exit``, ``dwell`` of a zone;
         ``group``.
-    number, time, index : the frame in which it became certain, its seconds, and which of the
-        frame's events it is, from 0.
+    number, time, index : the frame in which it became certain, its seconds, and the number of the
+        event in that frame, from 0.
     identity, class_id : of the track; of a group its identity and 0.
-    place : name of the line or zone, or what happened to the group.
+    place : name of the line or zone, or the kind of group event.
     direction : of a crossing: ``in`` from the line's left to its right, ``out`` back.
     x, y : the anchor in pixels, where the track was last seen.
     seconds : that the track was seen (leave) or was in the zone (exit, dwell).
@@ -66,7 +64,7 @@ class Event:
 
     @classmethod
     def of_group(cls, event: GroupEvent, index: int = 0) -> Event:
-        """What happened to a group, as `groups` reports it."""
+        """The event of a group, as `groups` reports it."""
         return cls(
             "group",
             event.frame,
@@ -78,12 +76,12 @@ class Event:
         )
 
     def as_dict(self, source: str, wall: str, names: Mapping[int, str]) -> dict[str, object]:
-        """For JSON, without what does not apply.
+        """The event for JSON, without fields that do not apply.
 
         Parameters
         ----------
         source : name of the camera.
-        wall : ISO time of the frame: ``id`` is made of it, since frames and identities begin anew
+        wall : ISO time of the frame; ``id`` contains it, since frames and identities may begin anew
             after a restart.
         names : of the classes.
         """
@@ -108,8 +106,8 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """Of a line, how many crossed it each way; of a zone, how many came and went, and the seconds
-    of all ended stays.
+    """Crossings of a line each way; or entries and exits of a zone, and the seconds of all ended
+    visits.
     """
 
     entered: int = 0
@@ -118,7 +116,7 @@ class Count:
 
     @property
     def occupancy(self) -> int:
-        """How many are in the zone."""
+        """Number of tracks in the zone."""
         return self.entered - self.left
 
 
@@ -132,10 +130,10 @@ class Visitor:
     first, last : seconds at which it was first and last seen.
     class_id : its class when last seen.
     feet, centre : its anchors then.
-    net : for each place its crossings of the line since it was last clear of it, from left to right
-        less the others.
+    net : for each place its crossings of the line since it was last clear of it: those from left
+        to right minus the others.
     since : for each place the time at which it entered the zone; NaN outside, and for lines.
-    dwelled : for each place whether ``dwell`` was said of this stay.
+    dwelled : for each place, True if ``dwell`` was reported for this visit.
     """
 
     identity: int
@@ -149,7 +147,7 @@ class Visitor:
     dwelled: tuple[bool, ...]
 
     def anchor(self, place: Place) -> Point:
-        """The part that counts for a place."""
+        """The anchor that counts for a place."""
         if place.anchor == "feet":
             return self.feet
         return self.centre
@@ -157,7 +155,7 @@ class Visitor:
 
 @dataclass(frozen=True, slots=True)
 class WatchState:
-    """Who is there, by identity, and what was counted, for each place."""
+    """The visitors by identity, and the counts of each place."""
 
     visitors: dict[int, Visitor] = field(default_factory=dict)
     counts: tuple[Count, ...] = ()
@@ -165,16 +163,16 @@ class WatchState:
 
 @dataclass(frozen=True, slots=True)
 class Watch(Checked):
-    """Settings of what is watched.
+    """Places to watch, and their settings.
 
     Parameters
     ----------
     places : lines and zones.
     names : of the classes that places ask for.
-    hysteresis : how far an anchor must be from a border before it has crossed it, as a share of the
+    hysteresis : distance behind a border at which an anchor has crossed it, as a share of the
         box's height.
-    dwell : seconds in a zone after which ``dwell`` is said.
-    leave_after : seconds without a sighting after which a track has left; should it come back, it
+    dwell : seconds in a zone before ``dwell`` is reported.
+    leave_after : seconds without a sighting after which a track has left; if it comes back, it
         appears anew.
     """
 
@@ -185,13 +183,11 @@ class Watch(Checked):
     leave_after: Positive = 3.0
 
     def start(self) -> WatchState:
-        """Nobody there, nothing counted."""
+        """The state without visitors and counts."""
         return WatchState({}, tuple(Count() for _ in self.places))
 
     def carried(self, state: WatchState, before: Watch) -> WatchState:
-        """The state of other settings, for these: places of the same name and points go on as they
-        were.
-        """
+        """The state of other settings, for these; places of the same name and points keep counts."""
         at = {(place.name, place.points, place.closed): k for k, place in enumerate(before.places)}
         source = [at.get((place.name, place.points, place.closed), -1) for place in self.places]
         counts = tuple(state.counts[k] if k >= 0 else Count() for k in source)
@@ -209,8 +205,8 @@ class Watch(Checked):
     def advance(
         self, state: WatchState, rows: Tracks, number: int, time: float
     ) -> tuple[WatchState, tuple[Event, ...]]:
-        """The state with the rows of a frame, also an empty one, and the events in the order of
-        identities: first of those who are there, then of those who have left.
+        """The state after a frame, and its events by identity: first of tracks that are seen, then
+        of tracks that have left. Call it for empty frames too.
 
         Parameters
         ----------
@@ -241,7 +237,7 @@ class Watch(Checked):
         for identity in sorted(visitors):
             if time - visitors[identity].last > self.leave_after:
                 gone = visitors.pop(identity)
-                # Who has left has left all zones, too. A stay ends when the track was last seen.
+                # A track that has left has left all zones. Its visit ends when it was last seen.
                 for k, place in enumerate(self.places):
                     if not math.isnan(gone.since[k]):
                         frame.exit(k, place, gone, gone.last - gone.since[k])
@@ -249,7 +245,7 @@ class Watch(Checked):
         return WatchState(visitors, tuple(frame.counts)), tuple(frame.events)
 
     def _moved(self, frame: _Frame, before: Visitor, now: Visitor, margin: float) -> Visitor:
-        """The visitor after a move, with what that means for each place."""
+        """The visitor after a move, with its state for each place."""
         net = list(now.net)
         since = list(now.since)
         dwelled = list(now.dwelled)
@@ -290,17 +286,17 @@ class Watch(Checked):
 
 @dataclass(slots=True)
 class _Frame:
-    """What a frame adds to the counts, and its events."""
+    """The counts after a frame, and its events."""
 
     number: int
     time: float
     counts: list[Count]
     events: list[Event] = field(default_factory=list)
 
-    def add(self, kind: Kind, who: Visitor, place: Place | None = None, **more: Any) -> None:
-        """An event of somebody, at a place."""
-        x, y = who.feet if place is None else who.anchor(place)
-        known = {"identity": who.identity, "class_id": who.class_id, "x": x, "y": y} | more
+    def add(self, kind: Kind, visitor: Visitor, place: Place | None = None, **more: Any) -> None:
+        """Add an event of a visitor, at a place."""
+        x, y = visitor.feet if place is None else visitor.anchor(place)
+        known = {"identity": visitor.identity, "class_id": visitor.class_id, "x": x, "y": y} | more
         name = "" if place is None else place.name
         self.events.append(
             Event(kind, self.number, self.time, len(self.events), place=name, **known)
@@ -311,23 +307,23 @@ class _Frame:
         count = self.counts[k]
         self.counts[k] = Count(count.entered + entered, count.left + left, count.seconds + seconds)
 
-    def cross(self, k: int, place: Place, who: Visitor, *, inward: bool) -> None:
-        """Somebody crossed a line."""
+    def cross(self, k: int, place: Place, visitor: Visitor, *, inward: bool) -> None:
+        """Count a crossing of a line, and add its event."""
         self.count(k, entered=int(inward), left=int(not inward))
-        self.add("cross", who, place, direction="in" if inward else "out")
+        self.add("cross", visitor, place, direction="in" if inward else "out")
 
-    def exit(self, k: int, place: Place, who: Visitor, stay: float) -> None:
-        """Somebody left a zone after so many seconds."""
+    def exit(self, k: int, place: Place, visitor: Visitor, stay: float) -> None:
+        """Count an exit after so many seconds, and add its event."""
         self.count(k, left=1, seconds=stay)
-        self.add("exit", who, place, seconds=stay, occupancy=self.counts[k].occupancy)
+        self.add("exit", visitor, place, seconds=stay, occupancy=self.counts[k].occupancy)
 
 
 def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Event]:
-    """What happens at lines and zones (cross, enter, exit, dwell) in a sequence whose tracks are
-    all known, in its order.
+    """The events at lines and zones (cross, enter, exit, dwell) of a sequence whose tracks are
+    complete, in order.
 
-    Who vanishes in a zone has left it when last seen: `Watch.advance` says so later, when it is
-    certain. Who is in a zone in the last frame does not leave it.
+    A track that vanishes in a zone leaves it when last seen; `Watch.advance` reports that later,
+    when it is certain. A track in a zone in the last frame does not leave it.
 
     Parameters
     ----------
@@ -345,11 +341,11 @@ def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Ev
         rows = tracks.select(np.arange(*np.searchsorted(tracks.frame, [number, number + 1])))
         state, events = watch.advance(state, rows, number, (number - 1) / fps)
         for event in events:
-            who = event.identity, event.place
+            visit = event.identity, event.place
             if event.kind == "enter":
-                since[who] = event.time
+                since[visit] = event.time
             elif event.kind == "exit":
-                time = since.pop(who) + event.seconds
+                time = since.pop(visit) + event.seconds
                 event = replace(event, time=time, number=round(time * fps) + 1)
             if event.place and (number <= last or event.number < last):
                 found.append(event)
@@ -363,8 +359,8 @@ def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Ev
 
 
 def _walked(frames: Sequence[int], last: int, patience: int) -> Iterator[int]:
-    """The frames, up to the last one, and those empty ones between and after them in which a track
-    may be found gone.
+    """The frames up to the last one, and the empty frames between and after them in which a track
+    may leave.
     """
     before = 0
     for number in (*(frame for frame in frames if frame < last), last, last + patience + 1):
@@ -375,12 +371,12 @@ def _walked(frames: Sequence[int], last: int, patience: int) -> Iterator[int]:
 
 
 class Tally(NamedTuple):
-    """What was counted at a place, of a class or of ``all``.
+    """The counts at a place, of a class or of ``all``.
 
-    Of a line: how many crossed it in and out; the rest is NaN. Of a zone: how many visits began and
-    ended, how many are ``inside`` at the end, at ``most`` at once and on average (``mean``), and
-    the seconds of a visit, on average (``stay``) and the ``longest``. A visit that has no end lasts
-    until the end of the sequence.
+    Of a line: crossings in and out; the rest is NaN. Of a zone: visits that began and ended, the
+    number of tracks ``inside`` at the end, the largest (``most``) and the ``mean`` number, and the
+    average (``stay``) and ``longest`` seconds of a visit. An open visit lasts until the end of the
+    sequence.
     """
 
     place: str
@@ -395,14 +391,13 @@ class Tally(NamedTuple):
 
 
 def tallies(watch: Watch, events: Sequence[Event], begin: float, end: float) -> list[Tally]:
-    """What was counted at each place, in their order: of all classes, then of each where classes
-    have names.
+    """The counts at each place, in order: of all classes, then of each class if classes have names.
 
     Parameters
     ----------
     watch : the places.
     events : from `place_events`.
-    begin, end : when the sequence does, seconds.
+    begin, end : of the sequence, seconds.
     """
     found = list[Tally]()
     for place in watch.places:
@@ -419,7 +414,7 @@ def tallies(watch: Watch, events: Sequence[Event], begin: float, end: float) -> 
 
 
 def _tally(place: Place, label: str, events: Sequence[Event], begin: float, end: float) -> Tally:
-    """What was counted of a class."""
+    """The counts of a class at a place."""
     since = dict[int, float]()
     stays = list[float]()
     most = 0
@@ -461,12 +456,12 @@ class Minute(NamedTuple):
 
     @staticmethod
     def add(minutes: deque[Minute], tracks: int, wall: float) -> None:
-        """A frame, to the last minute or a new one.
+        """Add a frame to the last minute or a new one.
 
         Parameters
         ----------
         minutes : in order.
-        tracks, wall : how many are confirmed in the frame, and its time (UTC seconds).
+        tracks, wall : number of confirmed tracks in the frame, and its time (UTC seconds).
         """
         start = wall // 60 * 60
         if not minutes or minutes[-1].wall != start:
@@ -479,8 +474,8 @@ class Minute(NamedTuple):
 
 @dataclass(slots=True)
 class Maps:
-    """Where people were, and where false alarms, in cells of the picture (h, w); both fade with a
-    half-life of an hour.
+    """Maps (h, w) of people and of false alarms over the picture; both fade with a half-life of an
+    hour.
     """
 
     people: F8
@@ -496,13 +491,13 @@ class Maps:
         return cls(np.zeros(shape), np.zeros(shape), cell)
 
     def add(self, time: float, feet: F8, xyxy: F8, probability: F8) -> None:
-        """Take in a frame.
+        """Add a frame.
 
         Parameters
         ----------
         time : of the frame, seconds.
         feet : (n, 2) of confirmed tracks, pixels.
-        xyxy, probability : (m, 4) detections, and (m,) how likely each is a false alarm.
+        xyxy, probability : (m, 4) detections, and (m,) the probability that each is a false alarm.
         """
         fade = 0.5 ** ((time - self.time) / HALF_LIFE)
         self.time = time

@@ -1,8 +1,7 @@
-"""The page of cameras at work: pictures, counts, maps, states, events, and lines and zones that are
-drawn on the picture.
+"""The live page: pictures, counts, maps, states and events of all cameras, and lines and zones that
+are drawn on the picture.
 
-The application is plain; who may use it is decided by what is put around it. Nothing that it
-answers holds the address of a camera.
+`web.guard` decides who may use it. No answer contains the address of a camera.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from phdtrack.live.zones import places_of, write_places
 from phdtrack.web.endpoints import Endpoint, endpoint, static
 
 STATIC = Path(__file__).parent / "static"
-# Of what is sent to save places: bytes, places, corners of all together. Events that are shown.
+# Limits of saved places: bytes, places, corners of all together. Events that are shown.
 MAX_BODY = 65536
 MAX_PLACES = 50
 MAX_CORNERS = 400
@@ -36,15 +35,15 @@ _PATIENCE = 2.0
 _MAP_WIDTH = 480
 Row = tuple[Mapping[str, str], float]
 METRICS = {
-    "source_up": "1 while pictures come.",
+    "source_up": "1 while pictures arrive.",
     "source_fps": "Pictures a second that the camera sends.",
-    "source_connects_total": "Connections that brought pictures.",
-    "source_frames_total": "Pictures that came.",
+    "source_connects_total": "Connections that delivered pictures.",
+    "source_frames_total": "Pictures that arrived.",
     "source_dropped_total": "Pictures that newer ones replaced.",
     "source_undecodable_total": "Packets without a picture.",
     "frames_total": "Pictures that were tracked.",
     "tracks": "Confirmed tracks in the newest picture.",
-    "problems": "Sentences about what is not as it should be.",
+    "problems": "Number of current problems.",
     "boxes_left_out_total": "Detections that were not used.",
     "latency_seconds": "From a picture's arrival to its events on disk.",
     "events_total": "Events.",
@@ -55,7 +54,7 @@ METRICS = {
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What the page shows of ``cameras``, by name."""
+    """The content of the page; ``cameras`` by name."""
 
     cameras: Mapping[str, Camera]
 
@@ -67,7 +66,7 @@ class Page:
         ]
 
     def camera(self, name: str) -> dict[str, object]:
-        """Everything about one camera but pictures."""
+        """Everything about one camera except pictures."""
         one = self.cameras[name]
         watch, state = self.cameras[name].watched
         status = asdict(one.source.status())
@@ -104,8 +103,8 @@ class Page:
         return list(self.cameras[name].minutes)
 
     def picture(self, name: str, after: int) -> tuple[int, bytes]:
-        """Number and drawn picture (JPEG) of the newest frame, empty where there is none. It waits
-        for one ``after``.
+        """Number and annotated picture (JPEG) of the newest frame, empty if there is none. Waits
+        for a frame ``after`` that number.
         """
         number, image = self.cameras[name].picture(after, _PATIENCE)
         return number, (
@@ -115,7 +114,7 @@ class Page:
         )
 
     def map(self, name: str, what: str) -> bytes:
-        """Where people were, or where false alarms, over the darkened picture, as JPEG."""
+        """Map of people, or of false alarms, over the darkened picture, as JPEG."""
         one = self.cameras[name]
         image = one.ground
         status = one.source.status()
@@ -131,7 +130,7 @@ class Page:
                 grid = one.maps.people
             else:
                 grid = one.maps.clutter
-            # By the square root a place a quarter as busy as the busiest is still plain to see.
+            # The square root keeps a place visible that is a quarter as busy as the busiest.
             if grid.max() > 0:
                 share = np.sqrt(grid / grid.max())
             else:
@@ -144,10 +143,10 @@ class Page:
         return cv2.imencode(".jpg", ground, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
 
     def save(self, name: str, sent: bytes) -> dict[str, object]:
-        """Write lines and zones into the camera's file; it reads them when the next picture comes.
+        """Write lines and zones into the camera's file, which it reads with the next picture.
 
-        Raises `InputError` where they cannot be used, or the camera has no file of them; nothing
-        has changed then.
+        Raises `InputError` if they cannot be used, or the camera has no such file; nothing changes
+        then.
         """
         where = "what was sent"
         file = self.cameras[name].settings.places
@@ -225,7 +224,7 @@ class Page:
 
 
 def live_app(cameras: Sequence[Camera]) -> Starlette:
-    """The application; what guards it belongs around it."""
+    """The application, without `web.guard`."""
     page = Page({one.name: one for one in cameras})
 
     async def picture(request: Request) -> Response:
@@ -253,7 +252,7 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
         )
 
     def known(answer: Endpoint) -> Endpoint:
-        """The answer for cameras that there are, and maps that there are."""
+        """The answer for known cameras and maps; 404 for others."""
 
         async def checked(request: Request) -> Response:
             given = request.path_params
@@ -283,7 +282,7 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
 
 
 def _state(one: Camera) -> str:
-    """The source's state, or that its thread has ended."""
+    """The source's state, or ``ended`` if its thread has ended."""
     if one.alive:
         return one.source.status().state
     return "ended"

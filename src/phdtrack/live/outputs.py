@@ -1,15 +1,13 @@
-"""Where the rows, pictures and events of a camera go: files by the hour with a quota, and a log of
-events.
+"""Files of a live camera: rows by the hour and videos, each with a quota, and a log of events.
 
-A folder for each camera:
+Each camera has a folder:
 
 * ``tracks/2026-11-24T05.csv``: the online rows of an hour (UTC), or ``.parquet``;
 * ``video/2026-11-24T05-10-00.mp4``: annotated pictures, ten minutes each;
-* ``events.sqlite``: the events in a table, with how far each receiver was told of them;
-* ``events.jsonl``: the same, a line for each.
+* ``events.sqlite``: a table of events, and the last event that each receiver has;
+* ``events.jsonl``: the events as JSON lines.
 
-A file that grows ends in ``.part`` and gets its name when it is complete. An event is on disk
-before it is passed on.
+An incomplete file ends in ``.part``. An event is on disk before it is sent.
 """
 
 from __future__ import annotations
@@ -32,8 +30,8 @@ from phdtrack.types import Image, Tracks
 from phdtrack.video import VideoWriter
 
 _LINES = "events.jsonl"
-# Milliseconds for which is waited for another process that writes into the table: at first, and
-# while a camera waits.
+# Milliseconds to wait for another process that writes into the table: at the start, and while a
+# camera waits.
 _PATIENT = "PRAGMA busy_timeout=5000"
 _IMPATIENT = "PRAGMA busy_timeout=200"
 _TABLES = (
@@ -49,7 +47,7 @@ _TABLES = (
         " state BLOB NOT NULL)"
     ),
 )
-# The number of the next row: none that an event has had, also where somebody has deleted some.
+# The number of the next row; no event has had it, even if somebody has deleted rows.
 _NEXT = (
     "(SELECT 1 + MAX(COALESCE(MAX(rowid), 0), (SELECT COALESCE(MAX(has), 0) FROM receivers)) FROM"
     " events)"
@@ -79,14 +77,14 @@ def stamp(wall: float) -> str:
 
 
 class Segments:
-    """The files of a folder, one for each stretch of time; beyond the quota the oldest are removed.
+    """The files of a folder, one per period; beyond the quota the oldest are removed.
 
     Parameters
     ----------
-    folder : is made where it is missing.
+    folder : is made if it is missing.
     suffix : of the files.
-    seconds : that a file covers; stretches begin at whole multiples of it since 1970.
-    quota : bytes that all complete files may have together; 0: no limit.
+    seconds : length of a period; periods begin at multiples of it since 1970.
+    quota : bytes of all complete files together; 0: no limit.
     """
 
     def __init__(self, folder: Path, suffix: str, seconds: float, quota: int = 0) -> None:
@@ -94,18 +92,18 @@ class Segments:
         self._suffix = suffix
         self._seconds = seconds
         self._quota = quota
-        self._stretch = -1
+        self._period = -1
         self.open: Path | None = None
         folder.mkdir(parents=True, exist_ok=True)
 
     def over(self, wall: float) -> bool:
-        """Whether the time lies in another stretch than the open file, or there is none."""
-        return self.open is None or int(wall // self._seconds) != self._stretch
+        """True if the time lies in another period than the open file, or no file is open."""
+        return self.open is None or int(wall // self._seconds) != self._period
 
     def begin(self, wall: float) -> Path:
-        """The file, which ends in ``.part``, of the stretch that this time lies in."""
-        self._stretch = int(wall // self._seconds)
-        start = datetime.fromtimestamp(self._stretch * self._seconds, UTC)
+        """The incomplete file of the period that this time lies in."""
+        self._period = int(wall // self._seconds)
+        start = datetime.fromtimestamp(self._period * self._seconds, UTC)
         name = start.strftime("%Y-%m-%dT%H" if self._seconds >= HOUR else "%Y-%m-%dT%H-%M-%S")
         count = 1
         while any(
@@ -127,7 +125,7 @@ class Segments:
         return done
 
     def left(self) -> list[Path]:
-        """The ``.part`` files that an earlier run left, oldest first."""
+        """The incomplete files of an earlier run, oldest first."""
         return sorted(self.folder.glob(f"*{self._suffix}{PART}"), key=_age)
 
     def complete(self) -> list[Path]:
@@ -147,15 +145,15 @@ class Segments:
 
 
 def _age(file: Path) -> tuple[str, int]:
-    """Sorts files by age: by the stretch in their names, and which of that stretch they are."""
-    stretch, _, rest = file.name.partition(".")
+    """Sort key by age: the period in the file's name, and the number within it."""
+    period, _, rest = file.name.partition(".")
     count = rest.partition(".")[0]
-    return stretch, int(count) if count.isdecimal() else 1
+    return period, int(count) if count.isdecimal() else 1
 
 
 class RowsLog:
-    """Online rows by the hour. With ``parquet`` a complete hour is turned into a Parquet file; it
-    grows as text.
+    """Online rows by the hour, as text. With ``parquet`` each complete hour is converted to a
+    Parquet file.
     """
 
     def __init__(self, folder: Path, quota: int = 0, *, parquet: bool = False) -> None:
@@ -165,19 +163,19 @@ class RowsLog:
         for left in self._segments.left():
             _whole_lines(left)
             left.replace(left.with_name(left.name.removesuffix(PART)))
-        # What was killed while it made Parquet: a part of a file, or an hour twice.
+        # A run that was killed during the conversion leaves a part of a file, or an hour twice.
         for file in folder.glob("*.parquet*"):
             (file if file.suffix == PART else file.with_suffix(".csv")).unlink(missing_ok=True)
 
     def write(self, rows: Tracks, wall: float) -> None:
-        """Append the rows of a frame, also none; ``wall``: its seconds since 1970. They reach the
-        operating system.
+        """Append the rows of a frame, perhaps none, and flush them; ``wall``: its seconds since
+        1970.
         """
         if self._file is not None and self._segments.over(wall):
             self.finish()
         if not len(rows):
             return
-        # There is none at the beginning, and where the last one could not be opened.
+        # No file is open at the beginning, and after one could not be opened.
         if self._file is None:
             self._file = self._segments.begin(wall).open("w", encoding="ascii", newline="\n")
             self._file.write(HEAD)
@@ -196,11 +194,9 @@ class RowsLog:
         self._file.flush()
 
     def last_frame(self) -> int:
-        """The number of the frame of the newest row that is on disk; 0 where there is none, or it
-        cannot be read.
-        """
+        """Frame number of the newest row on disk; 0 if there is none, or it cannot be read."""
         for file in reversed(self._segments.complete()):
-            # What somebody has changed or cut is passed over.
+            # Files that somebody has changed or cut are skipped.
             with suppress(OSError, ValueError, IndexError):
                 if file.suffix == ".parquet":
                     return int(
@@ -212,7 +208,7 @@ class RowsLog:
         return 0
 
     def finish(self) -> None:
-        """Complete the present file, as Parquet where that is wanted. Raises `InputError` without
+        """Complete the open file, as Parquet if that was asked for. Raises `InputError` without
         pyarrow.
         """
         if self._file is None:
@@ -230,10 +226,9 @@ class RowsLog:
 
 
 class VideoLog:
-    """Annotated pictures in videos of ten minutes, whose time is true: a picture stays until the
-    next one comes.
+    """Annotated pictures in videos of ten minutes, in real time: each picture stays until the next.
 
-    A gap of more than ``longest`` seconds begins a new file.
+    After a gap of more than ``longest`` seconds a new file begins.
     """
 
     def __init__(self, folder: Path, fps: float, quota: int = 0, *, longest: float = 5.0) -> None:
@@ -249,7 +244,7 @@ class VideoLog:
                 left.unlink()
 
     def due(self, wall: float) -> bool:
-        """Whether a picture of this time would be shown, or is followed too closely by others."""
+        """True if a picture of this time would be shown, False if it follows the last too soon."""
         return (
             self._video is None
             or wall < self._last
@@ -257,7 +252,7 @@ class VideoLog:
         )
 
     def write(self, image: Image, wall: float) -> None:
-        """Show (H, W, 3) BGR from this time on."""
+        """Show a picture, (H, W, 3) BGR, from this time on."""
         ended = self._segments.over(wall) or wall - self._last > self._longest or wall < self._last
         if self._video is None or ended:
             self.finish()
@@ -272,7 +267,7 @@ class VideoLog:
         self._last = wall
 
     def finish(self) -> None:
-        """Complete the present file."""
+        """Complete the open file."""
         if self._video is not None:
             self._video.close()
             self._video = None
@@ -280,14 +275,14 @@ class VideoLog:
 
 
 class EventLog:
-    """Events in SQLite, each once however often it is given, and how far each receiver has them;
-    the same as JSON lines.
+    """Events in an SQLite table, each once, with the last event that each receiver has; and the
+    same events as JSON lines.
 
-    The table is what counts: in one transaction with the events it takes up what is known of the
-    visitors after them. The file of lines is a receiver like others, and may lag behind or be moved
-    away; ``problem`` says why it lags.
+    The table is authoritative: one transaction saves the events and the visitors after them. The
+    file of lines is a receiver like others; it may lag behind, ``problem`` gives the reason, and it
+    may be moved away.
 
-    Raises `InputError` where the files cannot be written.
+    Raises `InputError` if the files cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -302,7 +297,7 @@ class EventLog:
             )
             for statement in (_PATIENT, *_TABLES):
                 self._base.execute(statement)
-            self._take_up_lines()
+            self._find_last_line()
             self._base.execute(_IMPATIENT)
         except (OSError, sqlite3.Error) as error:
             cure = "Does another program hold events.sqlite? If not, choose another --out."
@@ -314,14 +309,14 @@ class EventLog:
     def write(
         self, events: Iterable[Notice], watched: tuple[int, bytes] | None = None
     ) -> list[Notice]:
-        """Those of the events that are new, once they are on disk. Raises `sqlite3.Error` where
-        nothing was written.
+        """Write events, and return those that are new. Raises `sqlite3.Error` if nothing was
+        written.
 
         Parameters
         ----------
         events : each with at least ``id``, ``time`` and ``kind``.
-        watched : number of the frame, and what is known of visitors after it; None to leave that as
-            it is.
+        watched : number of the frame, and the visitors after it as bytes; None leaves the last
+        ones.
         """
         fresh = []
         with self._lock:
@@ -341,7 +336,7 @@ class EventLog:
         return fresh
 
     def watched(self) -> tuple[int, bytes] | None:
-        """What `write` was given last; None for nothing."""
+        """The last ``watched`` that was written; None if there is none."""
         with self._lock:
             found: tuple[int, bytes] | None = self._base.execute(
                 "SELECT number, state FROM watched"
@@ -349,7 +344,7 @@ class EventLog:
             return found
 
     def forget_watched(self) -> None:
-        """Visitors begin anew, and frames are numbered anew."""
+        """Forget the visitors and the frame number that were written."""
         with self._lock:
             self._base.execute("DELETE FROM watched")
 
@@ -362,10 +357,9 @@ class EventLog:
             return int(found or 0)
 
     def register(self, receiver: str) -> None:
-        """Say that a receiver is to have all events from now on; one that is known goes on where it
-        was.
+        """Add a receiver of all events from now on; a known one continues after its last event.
 
-        Raises `InputError` where that cannot be written.
+        Raises `InputError` if that cannot be written.
         """
         try:
             with self._lock:
@@ -386,14 +380,12 @@ class EventLog:
             return list(self._base.execute(_WAITING, (receiver, most)))
 
     def delivered(self, receiver: str, row: int) -> None:
-        """Say that a receiver has the event in this row, and with it all before."""
+        """Record that a receiver has the event in this row and all before it."""
         with self._lock:
             self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (row, receiver))
 
     def close(self) -> None:
-        """Nothing is left to write. Raises `InputError` where the file of lines lacks some of the
-        events.
-        """
+        """Close the table. Raises `InputError` if the file of lines lacks some events."""
         with self._lock:
             if not self._closed:
                 self._add_lines()
@@ -404,7 +396,7 @@ class EventLog:
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        """All of the block is on disk when it is left, or nothing."""
+        """A transaction: everything in the block is on disk when it ends, or nothing."""
         self._base.execute("BEGIN IMMEDIATE")
         try:
             yield
@@ -414,9 +406,9 @@ class EventLog:
                 self._base.execute("ROLLBACK")
             raise
 
-    def _take_up_lines(self) -> None:
-        """Find out how far the file of lines goes: a run that was killed may have written more, or
-        half a line.
+    def _find_last_line(self) -> None:
+        """Find the last event in the file of lines; a killed run may have written more than it
+        recorded, or half a line.
         """
         self._base.execute("INSERT OR IGNORE INTO receivers (name, has) VALUES (?, 0)", (_LINES,))
         if not self._path.exists():
@@ -431,7 +423,7 @@ class EventLog:
         """Bring the file of lines up to date."""
         try:
             if self.problem:
-                self._take_up_lines()
+                self._find_last_line()
             while waiting := self._base.execute(_WAITING, (_LINES, 1000)).fetchall():
                 # It may have been moved away meanwhile.
                 with self._path.open("a", encoding="utf-8", newline="\n") as file:
@@ -447,7 +439,7 @@ class EventLog:
 
 
 def _last_line(path: Path) -> str:
-    """The last complete line of a text file; empty where there is none."""
+    """The last complete line of a text file; empty if there is none."""
     with path.open("rb") as file:
         end = file.seek(0, os.SEEK_END)
         file.seek(max(0, end - 65536))
@@ -455,9 +447,7 @@ def _last_line(path: Path) -> str:
 
 
 def _whole_lines(path: Path) -> None:
-    """Cut a text file after its last complete line: what follows was being written when an earlier
-    run ended.
-    """
+    """Cut a text file after its last complete line; a killed run wrote a part of the next."""
     with path.open("r+b") as file:
         end = file.seek(0, os.SEEK_END)
         while end > 0:
@@ -472,7 +462,7 @@ def _whole_lines(path: Path) -> None:
 
 
 def _whole_fragments(path: Path) -> bool:
-    """Cut a fragmented video after its last complete fragment; whether it has one."""
+    """Cut a fragmented video after its last complete fragment. False if it has none."""
     with path.open("r+b") as file:
         end = file.seek(0, os.SEEK_END)
         at = 0
@@ -484,7 +474,7 @@ def _whole_fragments(path: Path) -> bool:
             if size < 8 or at + size > end:
                 break
             at += size
-            # The pictures of a fragment, after what describes them.
+            # The pictures of a fragment follow its description.
             whole = at if kind == b"mdat" else whole
         file.truncate(whole)
     return whole > 0

@@ -1,4 +1,4 @@
-"""Lines and zones in the picture: who crossed which way, and who is inside.
+"""Lines and zones in the picture: crossings of a move, and points inside.
 
 A file of places is TOML, in pixels of the video:
 
@@ -33,21 +33,20 @@ from phdtrack.files import read_toml, write_text
 Point = tuple[float, float]
 Anchor = Literal["feet", "centre"]
 ANCHORS: tuple[Anchor, ...] = ("feet", "centre")
-# Points nearer than this, in pixels, are one: the square of a smaller distance may be 0.
+# Pixels below which two points are the same: the square of a smaller distance may be 0.
 _SAME = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A line or a zone. Raises `InputError` for too few points, for no numbers, and for a zone
-    whose border crosses itself.
+    """A line or a zone. Raises `InputError` for too few points, points that are not finite, and a
+    zone whose border crosses itself.
 
     Attributes
     ----------
-    name : of its own among all places.
-    points : corners in pixels; of a line from its beginning to its end, at least two, of a zone
-        around it, at least three.
-    closed : it is a zone.
+    name : unique among all places.
+    points : corners in pixels; at least two along a line, at least three around a zone.
+    closed : True for a zone.
     anchor : the part of a box that counts.
     classes : names of the classes that count; empty for all.
     """
@@ -59,8 +58,8 @@ class Place:
     classes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        what, least = ("zone", 3) if self.closed else ("line", 2)
-        where = f"{what} {self.name!r}"
+        kind, least = ("zone", 3) if self.closed else ("line", 2)
+        where = f"{kind} {self.name!r}"
         if not all(math.isfinite(x) and math.isfinite(y) for x, y in self.points):
             raise InputError("expected points of finite numbers", where=where)
         if len(self.points) < least:
@@ -80,7 +79,7 @@ class Place:
 
     @property
     def edges(self) -> list[tuple[Point, Point]]:
-        """Its pieces, of a zone the last one back to the first corner."""
+        """Its edges; the last edge of a zone leads back to the first corner."""
         return list(pairwise((*self.points, self.points[0]) if self.closed else self.points))
 
     def distance(self, point: Point) -> float:
@@ -95,16 +94,15 @@ class Place:
         return -nearest
 
     def crossings(self, start: Point, end: Point) -> int:
-        """How often the straight move crosses the line from its left to its right, less how often
+        """How often the straight move crosses the line from its left to its right, minus how often
         the other way.
 
-        Left and right are those of somebody in the picture who looks from the line's beginning to
-        its end.
+        Left and right are as seen in the picture, looking from the line's beginning to its end.
         """
         return sum(_crossing(a, b, start, end) for a, b in self.edges)
 
     def _holds(self, point: Point) -> bool:
-        """Whether the point is inside, by the even–odd rule."""
+        """True if the point is inside, by the even–odd rule."""
         x, y = point
         inside = False
         for (ax, ay), (bx, by) in self.edges:
@@ -114,14 +112,14 @@ class Place:
 
 
 def read_places(path: Path) -> tuple[Place, ...]:
-    """The lines and zones of a TOML file. Raises `InputError` where it is none, or a place cannot
-    be used.
+    """The lines and zones of a TOML file. Raises `InputError` if it is none, or a place cannot be
+    used.
     """
     return places_of(read_toml(path), str(path))
 
 
 def write_places(path: Path, places: Sequence[Place]) -> None:
-    """Write the file of these places, whole or not at all. Raises `InputError` where that cannot be
+    """Write the file of these places, whole or not at all. Raises `InputError` if that cannot be
     done.
     """
     tables = [
@@ -216,10 +214,10 @@ def _number(value: object) -> bool:
 
 
 def _right(a: Point, b: Point, point: Point, shift: int = 1) -> bool:
-    """Whether the point is to the right of the way from a to b, in a picture whose y points down.
+    """True if the point is to the right of the way from a to b; y points down.
 
-    A point on it is taken to be shifted by (ε, ε²), or against it with ``shift`` −1, for an ε as
-    small as one likes.
+    A point on the line counts as shifted by (ε, ε²), or by its opposite with ``shift`` −1, for an
+    arbitrarily small ε.
     """
     dx = b[0] - a[0]
     dy = b[1] - a[1]
@@ -230,11 +228,11 @@ def _right(a: Point, b: Point, point: Point, shift: int = 1) -> bool:
 
 
 def _crossing(a: Point, b: Point, start: Point, end: Point) -> int:
-    """1 where the move crosses the piece from a to b from left to right, −1 the other way, 0 where
-    it does not.
+    """1 if the move crosses the edge from a to b from left to right, −1 the other way, 0 if it does
+    not.
 
-    Moves are taken to be shifted by as little as one likes, so that no end of one lies on a line,
-    and none goes through a corner: crossings are counted once, and a way and the way back cancel.
+    Moves count as shifted by an arbitrarily small amount, so that none ends on a line or goes
+    through a corner: a crossing counts once, and a move and its reverse cancel.
     """
     before = _right(a, b, start)
     after = _right(a, b, end)
@@ -244,7 +242,7 @@ def _crossing(a: Point, b: Point, start: Point, end: Point) -> int:
 
 
 def _distance(point: Point, a: Point, b: Point) -> float:
-    """From a point to the piece from a to b."""
+    """Distance from a point to the edge from a to b."""
     dx = b[0] - a[0]
     dy = b[1] - a[1]
     along = ((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / (dx * dx + dy * dy)
@@ -253,7 +251,7 @@ def _distance(point: Point, a: Point, b: Point) -> float:
 
 
 def _self_crossing(edges: Sequence[tuple[Point, Point]]) -> bool:
-    """Whether two pieces of a closed border that are not neighbours cross or touch."""
+    """True if two edges of a closed border that are not neighbours cross or touch."""
     last = len(edges) - 1
     for (i, (a, b)), (j, (c, d)) in combinations(enumerate(edges), 2):
         if j - i in (1, last):
