@@ -1,7 +1,7 @@
-"""Pieces of work shared out to processes of this machine, or to a cluster by Ray: what fails takes
-no other piece along.
+"""Pieces of work distributed to processes of this machine, or to a cluster by Ray; a failing piece
+does not affect others.
 
-Work and results must be of classes and functions that a fresh interpreter can import.
+Work and results must be of classes and functions that a new interpreter can import.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from typing import Any, TypeVar
 from phdtrack.errors import InputError, interrupted, needed
 
 T = TypeVar("T")
-# Pieces that a cluster is given at once, at most: each is asked after whenever one is done.
+# Most pieces on a cluster at a time: all of them are polled whenever one is done.
 _WINDOW = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """Why a piece of work has no result, in a sentence."""
+    """The reason, in a sentence, why a piece of work has no result."""
 
     reason: str
 
@@ -33,16 +33,15 @@ class Failed:
 def outcomes(
     work: Sequence[Callable[[], T]], jobs: int, *, apart: bool = False
 ) -> Iterator[tuple[int, T | Failed]]:
-    """The number (from 0) and the result of each piece of work, as they come.
+    """The number (from 0) and the result of each piece of work, as they are completed.
 
-    Each process has a pool of its own: one that dies fails its own piece, and another takes its
-    place.
+    Each process has its own pool: if it dies, its piece fails, and another process replaces it.
 
     Parameters
     ----------
-    work : what is to be done.
-    jobs : processes; with 1, or a single piece, this one does it, unless ``apart``.
-    apart : nothing is done by this process, so that it outlives whatever happens.
+    work : functions without arguments.
+    jobs : processes; with 1, or a single piece, this process does the work, unless ``apart``.
+    apart : do nothing in this process, so that it survives a crash.
     """
     if not apart and min(jobs, len(work)) <= 1:
         yield from enumerate(map(_tried, work))
@@ -67,7 +66,7 @@ def outcomes(
                     Failed("its process died (out of memory?)") if died else future.result(),
                 )
     finally:
-        # None of them has anything to do any more, but after Ctrl-C.
+        # They are idle by now, except after Ctrl-C.
         for process in set(multiprocessing.active_children()) - before:
             process.kill()
         for pool in (*idle, *(pool for _, pool in running.values())):
@@ -77,16 +76,15 @@ def outcomes(
 def on_ray(
     work: Sequence[Callable[[], T]], jobs: int, address: str
 ) -> Iterator[tuple[int, T | Failed]]:
-    """As `outcomes`, by the machines of a Ray cluster. A piece whose machine or process died is
-    tried again, three times. Raises `InputError` where Ray is not installed, or there is no
-    cluster.
+    """The results of `outcomes`, from a Ray cluster. A piece whose machine or process died is
+    retried three times. Raises `InputError` if Ray is not installed, or there is no cluster.
 
     Parameters
     ----------
-    work : what is to be done; each piece is given a CPU.
-    jobs : pieces that are under way at once, at most; 0: as many as the cluster has CPUs for.
+    work : functions without arguments; each gets a CPU.
+    jobs : most pieces at a time; 0: as many as the cluster has CPUs.
     address : of the cluster, as Ray has it: ``auto``, ``HOST:PORT``, ``ray://HOST:PORT``; ``local``
-        begins one here.
+        starts one here.
     """
     ray = needed("ray")
     try:
@@ -94,7 +92,7 @@ def on_ray(
     except (ConnectionError, OSError, RuntimeError, ValueError) as error:
         first = str(error).partition("\n")[0]
         cure = (
-            "Start one (`ray start --head`), or say --address HOST:PORT, or local for one on this"
+            "Start one (`ray start --head`), or give --address HOST:PORT, or local for one on this"
             " machine."
         )
         raise InputError(
@@ -116,12 +114,12 @@ def on_ray(
                     result = Failed(f"its process or machine died ({type(error).__name__})")
                 yield number, result
     finally:
-        # What is still under way ends with its driver.
+        # Pieces that still run end with their driver.
         ray.shutdown()
 
 
 def _begin() -> None:
-    """A process that was started: Ctrl-C is for its parent, and without that it ends, too."""
+    """Prepare a worker process: it ignores Ctrl-C, which its parent handles, and ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
 
@@ -134,8 +132,8 @@ def _begin() -> None:
 
 
 def _tried(piece: Callable[[], T]) -> T | Failed:
-    """The result, or why there is none. Ctrl-C goes through, also where compiled code has turned it
-    into another error.
+    """The result of a piece, or the reason why it failed. Ctrl-C is raised again, even if compiled
+    code has turned it into another error.
     """
     try:
         return piece()

@@ -132,7 +132,7 @@ def test_marks_of_many_boxes_are_reported_and_keys_still_work(it, store):
     it.page.click("#alike:enabled")
     it.kept()
     said = it.page.inner_text("#notice")
-    assert said == f"{len(store.labels())} boxes were marked as false; Z takes that back"
+    assert said == f"{len(store.labels())} boxes were marked as false; Z undoes it"
     # The mouse has left the picture, and the keys are still for it.
     it.page.keyboard.press("z")
     it.kept()
@@ -397,8 +397,8 @@ def test_a_sweep_of_suggestions_is_confirmed_and_undone_at_once(it, store):
     # What scores below is shown, and not ticked.
     it.page.wait_for_selector('#sweep-confirm:text-is("mark 50 of 60 as false (Enter)")')
     titles = it.page.locator("#sweep h2").all_inner_texts()
-    assert titles[0].startswith("A place that fires too often, here on 40 of the frames (40)")
-    assert titles[1].startswith("The filter took these for false alarms (20)")
+    assert titles[0].startswith("A place with too many detections, on 40 of the frames (40)")
+    assert titles[1].startswith("Rejected by the filter as false alarms (20)")
     it.page.locator("#sweep .crops button").nth(7).click()
     it.page.locator("#sweep .crops button").nth(59).click()
     it.page.locator("#sweep .crops button").nth(58).click()
@@ -414,7 +414,7 @@ def test_a_sweep_of_suggestions_is_confirmed_and_undone_at_once(it, store):
     it.page.wait_for_selector('#sweep-button:text-is("9 suggestions (S)")')
     # What was done stays to be read, whatever the server answers and the mouse passes over, until
     # the next key or click.
-    said = "51 boxes were marked as false; Z on this frame takes that back"
+    said = "51 boxes were marked as false; Z on this frame undoes it"
     it.page.mouse.move(*it.point(200, 100))
     it.page.wait_for_selector('#tip:text-matches("score 0.5")')
     it.page.wait_for_timeout(600)

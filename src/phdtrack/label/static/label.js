@@ -143,7 +143,7 @@ function swept(marks) {
 
 function told(marks, where = "") {
   const [many, what] = [marks.length === 1 ? "box was" : "boxes were", marks[0].mark];
-  say(`${marks.length} ${many} marked as ${what === "none" ? "nothing" : what}; Z ${where}takes that back`);
+  say(`${marks.length} ${many} marked as ${what === "none" ? "nothing" : what}; Z ${where}undoes it`);
 }
 
 // Why a mark cannot be made on the frame that is seen, or nothing.
@@ -255,7 +255,7 @@ function saving(waiting, away) {
   $("saving").setAttribute("aria-live", away ? "polite" : "off");
   $("saving").className = away ? "waiting" : "";
   $("saving").textContent = away
-    ? `the server does not answer; ${waiting} to be kept, trying again`
+    ? `no answer from the server; ${waiting} to be saved, retrying`
     : waiting ? "…" : "all kept";
 }
 
@@ -277,7 +277,7 @@ function tell() {
   const box = $("wall").hidden && frame() && placeOf(frame(), view.chosen);
   $("tip").textContent = box
     ? `${score(view.chosen)} · ${Math.round(box[2] - box[0])}×${Math.round(box[3] - box[1])}` +
-      (frame().marks[view.chosen] ? ` · ${MEANS[frame().marks[view.chosen]]}, by ${frame().by[view.chosen] || "nobody by name"}` : "") +
+      (frame().marks[view.chosen] ? ` · ${MEANS[frame().marks[view.chosen]]}, by ${frame().by[view.chosen] || "an unnamed labeller"}` : "") +
       (alike.length > 1 ? ` · ${alike.length} like this on all frames` : "")
     : "";
   [...$("frames").children].forEach(({ firstChild: button }, k) => {
@@ -303,7 +303,7 @@ function nextStep(all, command) {
     span.textContent = word;
     code.append(code.hasChildNodes() ? " " : "", span);
   }
-  $("next-step").replaceChildren(`All ${all} frames are done. Now run, in a terminal: `, code);
+  $("next-step").replaceChildren(`All ${all} frames are done. Now run in a terminal: `, code);
 }
 
 // The server may be away: the next click asks again.
@@ -512,7 +512,7 @@ async function dispute() {
   await go(numbers().includes(n) ? numbers().indexOf(n) : about);
   if (seen() !== n) await clip.go(n);
   choose(box);
-  say(Object.entries(said).map(([name, mark]) => `${name || "nobody by name"}: ${mark}`).join(" · "));
+  say(Object.entries(said).map(([name, mark]) => `${name || "an unnamed labeller"}: ${mark}`).join(" · "));
 }
 
 $("dispute").addEventListener("click", dispute);

@@ -15,6 +15,6 @@ export async function drawMaps(progress, number, ask) {
     image.src = picture;
     image.nextElementSibling.textContent = many < FEWEST ? `${what}: from ${FEWEST} marks on (${many} so far)`
       : learned ? `${many} ${what}; ${meaning}`
-      : `${many} ${what}; nothing learned of where: no place is likelier than others`;
+      : `${many} ${what}; no place is likelier than others`;
   }
 }

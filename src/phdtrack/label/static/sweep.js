@@ -1,9 +1,9 @@
-// The wall of suggestions: what may be false, worst first; a click unticks a crop, one key marks all that are ticked.
+// The wall of suggested false detections, worst first: a click unticks a crop, one key marks all that are ticked.
 
 const POLL = 1500;
 const WHY = {
-  rejected: "The filter took these for false alarms",
-  short: "Held by a short track at most",
+  rejected: "Rejected by the filter as false alarms",
+  short: "Only in a short track, or in none",
 };
 
 export class Sweep {
@@ -30,7 +30,7 @@ export class Sweep {
     this.button.disabled = !ready || !items.length;
     this.button.textContent = problem ? `no suggestions: ${problem}`
       : !ready ? `suggestions … ${Math.floor(100 * share)} %`
-      : items.length ? `${items.length + more} ${items.length + more === 1 ? "suggestion" : "suggestions"} (S)` : "nothing more to suggest";
+      : items.length ? `${items.length + more} ${items.length + more === 1 ? "suggestion" : "suggestions"} (S)` : "no more suggestions";
   }
 
   async toggle() {
@@ -59,8 +59,8 @@ export class Sweep {
   build() {
     const header = document.createElement("header");
     const note = document.createElement("p");
-    note.textContent = `Ticked is what scores ${this.answer.ticked} or more. A click unticks a crop, or ticks it. Nothing is marked yet.` +
-      (this.answer.more ? ` ${this.answer.more} more follow when these are dealt with.` : "");
+    note.textContent = `Crops that score ${this.answer.ticked} or more are ticked. Click a crop to untick or tick it. Nothing is marked yet.` +
+      (this.answer.more ? ` ${this.answer.more} more follow after these.` : "");
     this.yes = document.createElement("button");
     this.yes.id = "sweep-confirm";
     this.yes.className = "strong";
@@ -83,7 +83,7 @@ export class Sweep {
       groups.get(name).push(item);
     }
     return [...groups].map(([name, items]) => [
-      WHY[name] ?? `A place that fires too often, here on ${new Set(items.map(([frame]) => frame)).size} of the frames`, items,
+      WHY[name] ?? `A place with too many detections, on ${new Set(items.map(([frame]) => frame)).size} of the frames`, items,
     ]);
   }
 

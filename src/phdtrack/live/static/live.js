@@ -92,9 +92,9 @@ const seconds = (value) => value === null ? "–" : value < 1 ? `${Math.round(10
 
 function source() {
   const rows = [
-    ["state", `${known.state} for ${seconds(known.since)}`], ["objects now", known.tracks], ["pictures a second", known.fps.toFixed(1)],
+    ["state", `${known.state} for ${seconds(known.since)}`], ["objects now", known.tracks], ["pictures per second", known.fps.toFixed(1)],
     ["lag: median, 99 %", `${seconds(known.latency[0])}, ${seconds(known.latency[1])}`],
-    ["pictures left out, of all", `${known.dropped.toLocaleString()} of ${known.frames.toLocaleString()}`],
+    ["pictures dropped", `${known.dropped.toLocaleString()} of ${known.frames.toLocaleString()}`],
     ["boxes left out", Object.entries(known.boxes_left_out).filter(([, count]) => count).map(([why, count]) => `${count.toLocaleString()} ${why}`).join(", ") || "none"],
     ["reconnections", Math.max(0, known.connects - 1)], ["size", known.width ? `${known.width} × ${known.height}` : "–"],
     ["last problem", known.problem || "none"], ...(known.blur ? [["hidden", HIDDEN[known.blur]]] : []),
@@ -260,7 +260,7 @@ function events() {
       element("span", { class: "who" }, `${event.kind === "group" ? "g" : "#"}${event.identity}`));
     return row;
   });
-  $("list").replaceChildren(...(rows.length ? rows : [element("li", { class: "none" }, "Nothing has happened yet.")]));
+  $("list").replaceChildren(...(rows.length ? rows : [element("li", { class: "none" }, "No events yet.")]));
 }
 
 function chart() {
