@@ -30,7 +30,7 @@ PINNED = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS"
 
 def measure(parts: Sequence[Part], scale: Scale, out: Path, paper: report.Paper) -> dict[str, Any]:
     """Run the parts, and write the document after each: what was measured is not lost."""
-    from phdtrack.cli.output import versions
+    from phdtrack.run.environment import versions
 
     document: dict[str, Any] = {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -23,7 +23,8 @@ from typing import NamedTuple
 
 import pyarrow.parquet
 
-from phdtrack.cli.batch import DOCUMENT, Cutting, planned
+from phdtrack.run import RunRequest
+from phdtrack.run.video_batch import DOCUMENT, BatchPlan
 
 SHORT = 50
 MIDDLE = 200
@@ -111,7 +112,7 @@ def done(source: Path, out: Path, folder: Path) -> float:
     many = copies(source, folder, DONE)
     place = folder / "out"
     mark = json.loads(next(out.glob(f"runs/*/{DOCUMENT}")).read_bytes())
-    for video in planned([str(one) for one in many], (), place, Cutting()):
+    for video in BatchPlan(RunRequest(), (), place).videos([str(one) for one in many]):
         video.folder.mkdir(parents=True)
         (video.folder / DOCUMENT).write_text(json.dumps(mark | {"digest": video.digest}))
         video.rows.parent.mkdir(exist_ok=True)

@@ -18,7 +18,7 @@ from experiments.common import ROOT, Options, in_parallel, need_data, table, wri
 from phdtrack.formats import read_truth
 from phdtrack.live.events import Event, Tally, Watch, place_events, tallies
 from phdtrack.live.zones import Place
-from phdtrack.run.directory import given_tracks
+from phdtrack.run.directory import read_run_tracks
 from phdtrack.types import F8, Tracks, Truth
 
 
@@ -102,7 +102,7 @@ def work(job: tuple[Count, Path]) -> list[list[object]]:
         "--overwrite",
     ]
     subprocess.run([*command, "--out", str(out)], check=True, capture_output=True)
-    run = given_tracks(out)
+    run = read_run_tracks(out)
     watch = Watch(case.places)
     last = run.info.frames
     fps = run.info.fps
@@ -110,7 +110,7 @@ def work(job: tuple[Count, Path]) -> list[list[object]]:
     rows = list[list[object]]()
     for what, tracks in (
         ("corrected", run.tracks),
-        ("online", given_tracks(out / "tracks_online.csv").tracks),
+        ("online", read_run_tracks(out / "tracks_online.csv").tracks),
     ):
         found = place_events(watch, tracks, last, fps)
         pairs = zip(

@@ -35,10 +35,10 @@ import numpy as np
 
 from phdtrack.config import build_classes, load
 from phdtrack.detect import make_detector
-from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.engine import Camera, CameraParts, CameraSettings
 from phdtrack.live.events import Watch
 from phdtrack.live.zones import Place
-from phdtrack.run.detection_log import Checkpoint
+from phdtrack.run.detection_log import DetectionLog
 from phdtrack.run.directory import KNOWN, LOG, claim
 from phdtrack.run.inputs import Inputs
 from phdtrack.state import to_bytes
@@ -243,8 +243,8 @@ def live(hours: float, per_hour: int, folder: Path) -> list[Hour]:
         closed=True,
     )
 
-    def make(info: SequenceInfo) -> Making:
-        return Making(_Given(), build_classes(load(None, ["associate.history=60"]), info), info)
+    def make(info: SequenceInfo) -> CameraParts:
+        return CameraParts(_Given(), build_classes(load(None, ["associate.history=60"]), info), info)
 
     watching = Watching(0, per_hour)
     source = _Replayed(round(hours * per_hour), watching.frame)
@@ -274,7 +274,7 @@ def _pictures(last: int) -> VideoSource:
     return VideoSource(SequenceInfo(WIDTH, HEIGHT, FPS, last, "soak"), read)
 
 
-class _Timed(Checkpoint):
+class _Timed(DetectionLog):
     """Notes the seconds for which each checkpoint keeps the run waiting."""
 
     waits: tuple[float, ...] = ()
@@ -297,7 +297,7 @@ def pause(frames: int, folder: Path) -> dict[str, float]:
         source.info, source, make_detector("change"), "soak", "change", pictures=True, again=True
     )
     checkpoint = _Timed(directory, {"frames": frames}, {}, 0.05, resume=False)
-    for _ in checkpoint.detected(inputs, source, None):
+    for _ in checkpoint.detect(inputs, iter(source)):
         pass
     track = {
         "ms": 1000 * float(np.median(checkpoint.waits)),

@@ -17,13 +17,12 @@ import cv2
 import numpy as np
 
 from phdtrack import Detections, Tracker, Tracks
-from phdtrack.cli.label import to_label
-from phdtrack.cli.options import SourceOptions
-from phdtrack.cli.output import Output
 from phdtrack.formats import find_seqinfo, read_detections, read_tracks, read_truth
 from phdtrack.label import LabelStore
 from phdtrack.label.samples import shuffled
+from phdtrack.label.sequences import open_sequence
 from phdtrack.report import Annotator
+from phdtrack.run.requests import SourceRequest
 from phdtrack.scene.mixture import place_map
 from phdtrack.scene.scene_file import read_scene
 from phdtrack.simulate import DetectorModel, Look, Rendered, make_scene
@@ -95,7 +94,7 @@ def _learned(at: Path, out: Path) -> None:
     """Track the yard's detections before and after 40 frames of them are marked."""
     detections = at / "yard" / "det" / "det.txt"
     labels = at / "yard.labels.sqlite"
-    found = to_label(SourceOptions(detections=detections), {}, labels, Output())
+    found = open_sequence(SourceRequest(detections=detections), {}, labels)
     truth = read_truth(at / "yard" / "gt" / "gt.txt")
     store = LabelStore.open(
         labels, str(detections), found.digest, shuffled(found.info.frames, seed=0)[:MARKED]

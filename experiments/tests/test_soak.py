@@ -11,7 +11,6 @@ import gc
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +18,13 @@ import pytest
 
 from experiments.soak import HEIGHT, WIDTH, _Replayed, boxes
 from phdtrack.config import build_classes, load
-from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.engine import Camera, CameraParts, CameraSettings
+from phdtrack.report import About
 from phdtrack.run.directory import claim
-from phdtrack.run.inputs import NO_PICTURE, Inputs
-from phdtrack.run.video import Job, about, run
+from phdtrack.run.inputs import Inputs
+from phdtrack.run.loop import NO_PICTURE
+from phdtrack.run.running import RunOptions
+from phdtrack.run.video import run
 from phdtrack.types import Detections, Frame, SequenceInfo
 from phdtrack.video import VideoSource
 
@@ -88,8 +90,9 @@ def tracked(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
         info, VideoSource(info, read), given, "soak", "soak", pictures=False, again=False
     )
     kinds = build_classes(load(None, ["associate.history=120"]), info)
-    job = Job(inputs, kinds, {}, {"source": "soak"}, replace(about("soak"), versions=()))
-    assert run(job, claim(folder / "run", overwrite=False, name="soak")).stop is None
+    directory = claim(folder / "run", overwrite=False, name="soak")
+    options = RunOptions(About("soak"), read={"source": "soak"})
+    assert run(inputs, kinds, directory, options=options).stop is None
 
 
 def watched(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
@@ -101,8 +104,8 @@ def watched(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
         if number == ENDED:
             done.set()
 
-    def make(info: SequenceInfo) -> Making:
-        return Making(given, build_classes(load(None, ["associate.history=10"]), info), info)
+    def make(info: SequenceInfo) -> CameraParts:
+        return CameraParts(given, build_classes(load(None, ["associate.history=10"]), info), info)
 
     camera = Camera(
         "soak", _Replayed(ENDED, through), make, CameraSettings(folder / "camera", video=0.0)
@@ -122,7 +125,7 @@ def test_memory_of_a_frame_is_given_back(
     monkeypatch: pytest.MonkeyPatch,
 ):
     # What is kept of some thousand frames at most is full sooner.
-    monkeypatch.setattr("phdtrack.run.video._SAMPLE", 100)
+    monkeypatch.setattr("phdtrack.run.video.SAMPLE", 100)
     for name in ("_LATENCIES", "_EVENTS"):
         monkeypatch.setattr(f"phdtrack.live.engine.{name}", 20)
     traced = Traced()

@@ -283,6 +283,11 @@ class Tracker:
         return input_rows(self._lanes.finish(), self._kept)
 
     @property
+    def drawn(self) -> bool:
+        """Whether anything was drawn at random so far."""
+        return self._lanes.drawn
+
+    @property
     def highest(self) -> int:
         """The highest identity that online rows had so far."""
         return self._lanes.highest

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 
 import pytest
 
-from phdtrack.run.inputs import ahead
+from phdtrack.run.pipeline_threads import ahead
 
 WAIT = 20.0
 

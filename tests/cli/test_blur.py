@@ -17,12 +17,12 @@ from typer.testing import CliRunner
 
 from phdtrack.arrays import pixelated
 from phdtrack.cli.app import application
-from phdtrack.cli.label import _shown, _stills, to_label
-from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import Output
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections
 from phdtrack.label import Label, LabelStore
+from phdtrack.label.sequences import hidden_picture, open_sequence, still_pictures
+from phdtrack.run.requests import SourceRequest
 from phdtrack.types import Image
 from phdtrack.video import VideoWriter, open_source
 
@@ -73,8 +73,8 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "still.txt").write_text(
         "".join(f"{k},-1,{left},{top},{SIDE},{SIDE},0.9\n" for k in range(1, FRAMES + 1))
     )
-    digest = to_label(
-        SourceOptions(str(folder / "walk.mp4"), folder / "still.txt"), {}, folder / "x", Output()
+    digest = open_sequence(
+        SourceRequest(str(folder / "walk.mp4"), folder / "still.txt"), {}, folder / "x", Output()
     ).digest
     store = LabelStore.open(folder / "walk.labels.sqlite", "walk", digest, range(1, FRAMES + 1))
     for k in range(1, FRAMES + 1):
@@ -158,8 +158,11 @@ def test_no_picture_shows_what_is_in_boxes(
 def test_pictures_of_the_labelling_page_can_be_blurred(scene: Path) -> None:
     table = read_detections(scene / "det.txt")
     for blur in ("", "boxes"):
-        stills = _stills(
-            SourceOptions(str(scene / "walk.mp4")), [3], {2, 3, 4}, partial(_shown, table, blur)
+        stills = still_pictures(
+            SourceRequest(str(scene / "walk.mp4")),
+            [3],
+            {2, 3, 4},
+            partial(hidden_picture, table, blur),
         )
         assert sorted(stills) == [2, 3, 4]
         for data in stills.values():

@@ -25,9 +25,10 @@ import pytest
 from cli_runner import phdtrack, refused, walkers
 from pyarrow import parquet
 
-from phdtrack.cli.batch import Video, expanded, names, write_rows
 from phdtrack.errors import InputError
 from phdtrack.formats import TracksWriter, read_tracks
+from phdtrack.run.parquet_rows import write_rows
+from phdtrack.run.video_batch import expanded, names
 from phdtrack.types import Tracks
 from phdtrack.video import VideoWriter
 
@@ -182,9 +183,7 @@ def under_way(out: Path) -> list[Path]:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
-def test_a_worker_that_is_killed_loses_its_own_video_only_and_the_next_call_does_it(
-    clips: Path, whole: Path, tmp_path: Path
-) -> None:
+def test_a_killed_worker_loses_its_own_video_only(clips: Path, whole: Path, tmp_path: Path) -> None:
     out = tmp_path / "all"
     with started("batch", clips, "--out", out, "--jobs", 1, *OPTIONS) as child:
         until(lambda: len(list(out.glob("tracks/*.parquet"))) >= 2 and under_way(out))
@@ -236,7 +235,7 @@ def two(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_video_that_fails_does_not_stop_the_others_and_is_tried_again(two: Path) -> None:
+def test_a_failed_video_does_not_stop_the_others(two: Path) -> None:
     out = two / "all"
     bad = two / "bad.mp4"
     bad.write_text("no video")
@@ -341,18 +340,17 @@ def test_lists_folders_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_places_classes_and_times_are_in_the_rows(tmp_path: Path) -> None:
-    video = Video(
-        "yard", "yard.mp4", (), tmp_path, tmp_path / "run", tmp_path / "rows" / "yard.parquet", ""
-    )
-    video.folder.mkdir(parents=True)
+    folder = tmp_path / "run"
+    file = tmp_path / "rows" / "yard.parquet"
+    folder.mkdir(parents=True)
     boxes = np.array([[10, 10, 20, 40.5], [12, 10, 22, 40], [90, 9, 95, 30], [14, 10, 24, 40]])
     tracks = Tracks.of([1, 3, 3, 6], [1, 1, 2, 1], boxes, 0.5, [0, 0, 1, -1])
     tracks = replace(tracks, class_id=np.array([0, 0, 2, 0]))
-    with TracksWriter(video.folder / "tracks.csv", {2: "big car"}) as writer:
+    with TracksWriter(folder / "tracks.csv", {2: "big car"}) as writer:
         writer.append(tracks, np.array([[0.5, 0.0, np.nan, 2.5], [7.0, -1.0, np.nan, 1.0]]))
-    (video.folder / "states.csv").write_text("frame,time,weight\n2,0.1,1\n4,0.5,1\n4,0.5,1\n")
-    write_rows(video, 10.0)
-    rows = parquet.read_table(video.rows).to_pydict()
+    (folder / "states.csv").write_text("frame,time,weight\n2,0.1,1\n4,0.5,1\n4,0.5,1\n")
+    write_rows("yard", folder, file, 10.0)
+    rows = parquet.read_table(file).to_pydict()
     np.testing.assert_allclose(rows["time"], [0.0, 0.3, 0.3, 0.7])
     assert (rows["x"], rows["y"]) == ([0.5, 0.0, None, 2.5], [7.0, -1.0, None, 1.0])
     assert rows["class"] == ["0", "0", "big car", "0"]
@@ -361,12 +359,12 @@ def test_places_classes_and_times_are_in_the_rows(tmp_path: Path) -> None:
         [30.5, 30.0, 21.0, 30.0],
         [1, 3, 3, 6],
     )
-    kinds = parquet.read_schema(video.rows)
-    (video.folder / "tracks.csv").write_text("")
-    (video.folder / "states.csv").write_text("frame,time,weight\n")
-    write_rows(video, 10.0)
-    assert parquet.read_table(video.rows).num_rows == 0
-    assert parquet.read_schema(video.rows).equals(kinds)
+    kinds = parquet.read_schema(file)
+    (folder / "tracks.csv").write_text("")
+    (folder / "states.csv").write_text("frame,time,weight\n")
+    write_rows("yard", folder, file, 10.0)
+    assert parquet.read_table(file).num_rows == 0
+    assert parquet.read_schema(file).equals(kinds)
 
 
 def test_the_queries_of_the_page_answer_right(

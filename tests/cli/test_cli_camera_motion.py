@@ -14,7 +14,7 @@ from cli_runner import phdtrack, refused
 from experiments.common import uniform_density
 from moving_cases import filmed, handheld, moving, points, step
 from phdtrack.formats import read_warps, write_detections, write_truth
-from phdtrack.run.observers import _shaking
+from phdtrack.run.camera_motion import shaking_camera
 from phdtrack.scene import LearnedDensity, Scene, write_scene
 from phdtrack.simulate import DetectorModel, Rendered, make_scene
 from phdtrack.types import STILL, Detections, Frame
@@ -133,8 +133,8 @@ def test_a_camera_that_shakes_is_steadied_by_itself(tmp_path):
     assert (tmp_path / "run" / "tracks.csv").read_bytes() == rows
 
 
-def test_the_tracker_is_told_how_a_shaking_camera_moved_since_it_was_last_known():
-    moved = _shaking()
+def test_warps_of_a_shaking_camera_span_unknown_poses():
+    moved = shaking_camera()
     frame = Frame(1, 0.0, np.zeros((2, 2, 3), np.uint8))
     found = Detections.empty()
     poses = [np.array([[1.0, 0, x], [0, 1, -x], [0, 0, 1]]) for x in (1.0, 4.0)]

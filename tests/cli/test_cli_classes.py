@@ -24,15 +24,14 @@ def crossing(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_run_names_the_classes_and_tracks_those_that_are_asked_for(
-    crossing: Path, tmp_path: Path
-) -> None:
+def test_a_run_tracks_the_classes_of_the_option(crossing: Path, tmp_path: Path) -> None:
     run = ("track", "--detections", crossing, *SIZE, "--out")
     out = tmp_path / "run"
     assert "2 objects (car 1, person 1) in 40 frames" in phdtrack(*run, out).out
     for name in ("tracks.csv", "tracks_online.csv"):
         rows, names = read_tracks_named(out / name)
-        assert {(i, names[c]) for i, c in zip(*map(list, (rows.identity, rows.class_id)), strict=True)} == {
+        pairs = zip(rows.identity.tolist(), rows.class_id.tolist(), strict=True)
+        assert {(identity, names[label]) for identity, label in pairs} == {
             (1, "car"), (2, "person")
         }  # fmt: skip
     assert {line.split(",")[10] for line in (out / "detections.csv").read_text().splitlines()} == {

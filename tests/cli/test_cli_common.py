@@ -18,10 +18,10 @@ from cli_runner import phdtrack, walkers
 
 from phdtrack import __version__
 from phdtrack.cli.app import COMMANDS, guarded
-from phdtrack.cli.options import TrackingOptions
-from phdtrack.cli.output import _SHOWN, Output, progress
-from phdtrack.cli.show_settings import chosen
+from phdtrack.cli.output import Output
 from phdtrack.errors import InputError
+from phdtrack.run.choices import chosen_settings
+from phdtrack.run.requests import TrackingRequest
 
 
 def run(
@@ -131,14 +131,15 @@ def test_quiet_says_warnings_only(tmp_path: Path) -> None:
     assert "report.html" in phdtrack(*words, "--overwrite").out
 
 
-def test_quiet_shows_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_quiet_shows_no_progress(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     shown = []
     for quiet in (True, False):
-        Output(quiet=quiet)
-        with progress("tracking", 10) as advance:
-            shown.append(bool(_SHOWN))
+        with Output(quiet=quiet).progress("tracking", 10) as advance:
             advance(3, total=5, description="drawing")
+        shown.append("tracking" in capsys.readouterr().err)
     assert shown == [False, True]
 
 
@@ -202,7 +203,7 @@ def test_errors_become_a_sentence_and_a_status(
 
 def test_a_reader_that_goes_away_is_no_error() -> None:
     done = run("bash", "-c", f"{sys.executable} -m phdtrack settings --all | head -1")
-    assert done.stdout.startswith("preset")
+    assert done.stdout.startswith("# Presets: ")
     assert "Traceback" not in done.stderr
 
 
@@ -259,17 +260,17 @@ def test_tracking_detections_loads_what_it_needs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "detector", "preset"),
     [
-        (TrackingOptions(), "change", "mot15"),
-        (TrackingOptions(), "", "default"),
-        (TrackingOptions(), "onnx:net.onnx", "default"),
-        (TrackingOptions(preset="default"), "change", "default"),
-        (TrackingOptions(filter_name="gm-phd"), "change", "default"),
-        (TrackingOptions(sets=["filter.kind=mht"]), "change", "default"),
-        (TrackingOptions(sets=["motion.kind=plane"]), "change", "default"),
-        (TrackingOptions(sets=["sensor.box_noise=0.2"]), "change", "mot15"),
+        (TrackingRequest(), "change", "background"),
+        (TrackingRequest(), "", "default"),
+        (TrackingRequest(), "onnx:net.onnx", "default"),
+        (TrackingRequest(preset="default"), "change", "default"),
+        (TrackingRequest(filter_name="gm-phd"), "change", "background-other-filters"),
+        (TrackingRequest(sets=["filter.kind=mht"]), "change", "background-other-filters"),
+        (TrackingRequest(sets=["motion.kind=plane"]), "change", "ground"),
+        (TrackingRequest(sets=["sensor.box_noise=0.2"]), "change", "background"),
     ],
 )
 def test_own_detectors_have_the_preset_for_noisy_boxes(
-    options: TrackingOptions, detector: str, preset: str
+    options: TrackingRequest, detector: str, preset: str
 ) -> None:
-    assert chosen(options, detector=detector).preset == preset
+    assert chosen_settings(options, detector=detector).preset == preset

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
-from phdtrack.cli.count import drawn
 from phdtrack.formats import EXPORTS, read_tracks
+from phdtrack.live.counting import drawn
 from phdtrack.live.zones import Place
 from phdtrack.video import VideoWriter
 
@@ -138,9 +138,7 @@ def test_places_in_a_file_and_what_looks_like_a_mistake(run: Path, tmp_path: Pat
     assert said.out.count("counts.mp4") == 1
 
 
-def test_counts_that_are_there_are_not_taken_for_pictures_and_deleted(
-    run: Path, tmp_path: Path
-) -> None:
+def test_existing_counts_are_not_deleted(run: Path, tmp_path: Path) -> None:
     counted = tmp_path / "counted"
     assert phdtrack("count", run / "gt" / "gt.txt", "--line", LINE, "--out", counted).status == 0
     before = {file: file.read_bytes() for file in counted.iterdir()}
@@ -151,7 +149,7 @@ def test_counts_that_are_there_are_not_taken_for_pictures_and_deleted(
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ((), "there is nothing to count at. Say --line"),
+        ((), "no line or zone given. Say --line"),
         (("--line", LINE, "--tracks", "tracks.csv"), "has tracks of its own"),
         (("--line", "160,0,160,240"), "expected NAME=x1,y1,x2,y2 in pixels, got '160,0,160,240'"),
         (("--line", "a=160,0,160"), "expected NAME=x1,y1,x2,y2"),
@@ -166,7 +164,7 @@ def test_what_is_refused(run: Path, given: tuple[str, ...], words: str) -> None:
 
 
 def test_a_camera_is_for_live() -> None:
-    assert "Say phdtrack live" in refused("count", "rtsp://127.0.0.1:9/x", "--line", LINE)
+    assert "Use phdtrack live" in refused("count", "rtsp://127.0.0.1:9/x", "--line", LINE)
 
 
 @pytest.mark.parametrize("kind", sorted(EXPORTS.keys() - {"rerun"}))
@@ -180,7 +178,7 @@ def test_a_run_is_exported_in_every_format(run: Path, tmp_path: Path, kind: str)
     assert "expected the name of a file, got -" in refused(
         "export", run / "out", "--to", kind, "--out", "-"
     )
-    assert "there already" in refused("export", run / "out", "--to", kind, "--out", path)
+    assert "exists already" in refused("export", run / "out", "--to", kind, "--out", path)
     assert (
         phdtrack(
             "export", run / "out" / "tracks.csv", "--to", kind, "--out", path, "--overwrite"
@@ -217,7 +215,7 @@ def test_a_run_of_a_part_is_counted_exported_and_scored_as_one(run: Path, tmp_pa
         *given[:-3], "--frames", "50-", "--out", tmp_path / "none"
     )
     assert "differs in input.frames" in refused(*given[:-3], "--out", part, "--resume")
-    assert "Say one of them" in refused(*given, part, "--resume", "--overwrite")
+    assert "Give one of them" in refused(*given, part, "--resume", "--overwrite")
 
 
 def test_an_export_lies_beside_the_tracks(run: Path) -> None:

@@ -12,9 +12,9 @@ import pytest
 from cli_runner import phdtrack, refused
 
 from phdtrack.formats import read_tracks
+from phdtrack.run import TrackedFrame
 from phdtrack.run import directory as rundir
 from phdtrack.scene import LearnedDensity, Scene, SceneDensity, write_scene
-from phdtrack.types import Detections, Step
 from phdtrack.video import VideoWriter, open_source
 
 # Ten pixels are a metre, x to the right and y up, the origin in the lower left corner.
@@ -68,7 +68,8 @@ def table(path: Path) -> list[dict[str, str]]:
 def test_a_video_with_detections(street: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     said = phdtrack(
-        "groups", street / "street.mp4", "--detections", street / "det.txt", "--camera", street / "camera.toml",
+        "groups", street / "street.mp4", "--detections", street / "det.txt",
+        "--camera", street / "camera.toml",
         "--edges", street / "edges.txt", "--out", out, "--json",
     )  # fmt: skip
     assert said.status == 0, said.err
@@ -172,9 +173,7 @@ def test_detections_that_are_left_out_move_nobody(street: Path, tmp_path: Path) 
     assert found[0] == found[1]
 
 
-def test_members_of_an_intensity_are_the_identities_of_the_corrected_tracks(
-    street: Path, tmp_path: Path
-) -> None:
+def test_members_of_an_intensity_are_corrected_identities(street: Path, tmp_path: Path) -> None:
     """Those of an output delay, too, and of a filter of particles."""
     for name, more in (("gm-phd", ("--set", "associate.output_delay=4")), ("particle-phd", ())):
         out = tmp_path / name
@@ -256,18 +255,18 @@ def test_what_cannot_be_done(street: Path, tmp_path: Path, more: list[str], says
 def test_ctrl_c_leaves_the_groups_up_to_there(
     street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from phdtrack.cli.groups import GroupObserver
+    from phdtrack.run.grouping import GroupObserver
 
     whole = GroupObserver.take
 
-    def stopped(self: GroupObserver, found: Detections, step: Step, state: object) -> None:
-        if step.number == 15:
+    def stopped(self: GroupObserver, tracked: TrackedFrame) -> None:
+        if tracked.step.number == 15:
             raise KeyboardInterrupt
-        whole(self, found, step, state)
+        whole(self, tracked)
 
     monkeypatch.setattr(GroupObserver, "take", stopped)
     # A busy machine draws little in half a second.
-    monkeypatch.setattr("phdtrack.run.video._SHORTLY", 600.0)
+    monkeypatch.setattr("phdtrack.run.annotated_video.DRAWN_AFTER_SIGNAL", 600.0)
     said = phdtrack("groups", *detected(street), "--out", tmp_path / "run", "--json")
     assert said.status == 130
     assert said.object["complete"] is False

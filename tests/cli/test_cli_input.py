@@ -122,14 +122,12 @@ def test_no_frames_are_drawn_from_a_billion(command: str, far: Path) -> None:
     said = phdtrack(command, "--detections", far / "det" / "det.txt")
     assert said.status == 2
     assert (
-        "at most 10,000,000 frames to draw from, came one that ends with frame 1000000018"
+        "at most 10,000,000 frames to draw from, got one that ends with frame 1000000018"
         in said.err
     )
 
 
-def test_rows_that_are_wrong_are_left_out_where_that_is_asked_for(
-    far: Path, tmp_path: Path
-) -> None:
+def test_malformed_rows_are_skipped_on_request(far: Path, tmp_path: Path) -> None:
     path = tmp_path / "det.txt"
     out = tmp_path / "run"
     rows = (far / "det" / "det.txt").read_text(encoding="ascii").splitlines()[:19]
@@ -176,7 +174,5 @@ def test_the_largest_file_can_be_chosen(far: Path, tmp_path: Path) -> None:
         (["--frame-size", "64x48", "--fps", "25", "--detector", "mog2"], "--detector"),
     ],
 )
-def test_what_a_pipe_needs_and_what_it_leaves_nothing_to_do_for_is_said(
-    words: list[str], said: str, tmp_path: Path
-) -> None:
+def test_standard_input_needs_size_and_rate(words: list[str], said: str, tmp_path: Path) -> None:
     assert said in refused("track", "--detections", "-", "--out", str(tmp_path / "run"), *words)

@@ -64,10 +64,7 @@ class Started:
 def test_label_leave_and_go_on(sequence):
     arguments = ("street", "--detections", "det.txt", "--frames", "8", "--seed", "3")
     page = Started(*arguments, cwd=sequence)
-    assert (
-        "8 frames, 0 of them looked at; the marks are kept in runs/street.labels.sqlite"
-        in page.told
-    )
+    assert "8 frames, 0 of them done; the marks are kept in runs/street.labels.sqlite" in page.told
     overview = json.loads(page.ask("api/overview"))
     assert (overview["width"], overview["height"], len(overview["frames"])) == (160, 120, 8)
     first = overview["frames"][0]["number"]
@@ -78,9 +75,9 @@ def test_label_leave_and_go_on(sequence):
     status, out, _ = page.leave()
     assert status == 0
     kept = Path("runs/street.labels.sqlite")
-    assert f"1 of 8 frames looked at, 1 false, no births: {kept}" in out
+    assert f"1 of 8 frames done, 1 false, no births: {kept}" in out
     command = f"phdtrack learn street --detections det.txt --labels {kept}"
-    assert f"the same command goes on; when all are looked at, run: {command}" in out
+    assert f"the same command continues; when all are done, run: {command}" in out
     # Nothing is written beside the video.
     assert sorted(path.name for path in sequence.iterdir()) == ["det.txt", "runs", "street"]
 
@@ -91,7 +88,7 @@ def test_label_leave_and_go_on(sequence):
     third = Started(*arguments, cwd=sequence)
     third.leave()
     assert third.url != page.url
-    assert "8 frames, 1 of them looked at" in again.told
+    assert "8 frames, 1 of them done" in again.told
     overview_again = json.loads(again.ask("api/overview"))
     again.leave()
     assert [frame["number"] for frame in overview_again["frames"]] == [
@@ -116,7 +113,7 @@ def test_a_detector_runs_once(sequence):
     for path in (sequence / "street").iterdir():
         cv2.imwrite(str(other / path.name), cv2.imread(str(path))[::-1])
     done = subprocess.run(
-        [sys.executable, "-m", "phdtrack", "label", "other/street", "--frames", "5", "--no-browser"],
+        [sys.executable, "-m", "phdtrack", *"label other/street --frames 5 --no-browser".split()],
         cwd=sequence, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 2
@@ -174,9 +171,10 @@ def test_marks_go_to_other_tools_and_come_back(sequence, monkeypatch):
     )
     assert done.status == 0, done.err
     assert (
-        "taken: no false alarms, 30 objects with a detection, 1 without; no frames done" in done.out
+        "imported: no false alarms, 30 objects with a detection, 1 without; no frames done"
+        in done.out
     )
-    assert "warning: 10 boxes left out: on frames that are not drawn, see --frames" in done.err
+    assert "warning: 10 boxes dropped: on frames that are not drawn, see --frames" in done.err
     store = LabelStore(Path("runs/det.labels.sqlite"))
     assert {label.who for label in store.labels()} == {"eve"}
     # What is written goes on with the same frames elsewhere; it leaves those of the file as they
@@ -193,7 +191,7 @@ def test_marks_go_to_other_tools_and_come_back(sequence, monkeypatch):
     assert LabelStore(Path("other.sqlite")).frames() == store.frames()
     assert Path("m.xml").read_text().count("<box") == len(store.labels())
     for options, words in (
-        (("--export", "marks.json"), "is there already"),
+        (("--export", "marks.json"), "exists already"),
         (("--export", "marks.txt"), "ends in .json, .xml or .csv"),
         (("--export", "new.json", "--labels", "none.sqlite"), "no such file of labels"),
         (("--import", "det.txt"), "det.txt: expected COCO (JSON) or CVAT (XML)"),

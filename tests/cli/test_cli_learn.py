@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
 
-from phdtrack.cli.label import to_label
-from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import Output
 from phdtrack.label import DRAWN, Label, LabelStore
+from phdtrack.label.sequences import open_sequence
+from phdtrack.run.requests import SourceRequest
 from phdtrack.scene import read_scene
 
 FRAMES = 900
@@ -38,8 +38,8 @@ def street(tmp_path_factory):
         for k, x, y, w, h in sorted(rows, key=lambda row: row[0])
     ]
     (folder / "det.txt").write_text("\n".join(lines) + "\n")
-    found = to_label(
-        SourceOptions("", folder / "det.txt", "", "720x480", 25.0), {}, folder / "labels", Output()
+    found = open_sequence(
+        SourceRequest("", folder / "det.txt", "", "720x480", 25.0), {}, folder / "labels", Output()
     )
     store = LabelStore.open(folder / "labels", str(folder / "det.txt"), found.digest, range(1, 201))
     for number in range(1, 201):
@@ -173,14 +173,17 @@ def test_false_alarms_unattended(street, tmp_path):
         tmp_path / "short.json",
     )
     assert said.status == 2
-    assert "false alarms not learned, defaults kept: learning: expected at least 10 detections" in said.out
+    assert (
+        "false alarms not learned, defaults kept: learning: expected at least 10 detections"
+        in said.out
+    )
     assert "Look yourself" in said.out
 
 
 def test_mistakes_are_told(street, tmp_path):
     assert "no such file of labels" in refused(*options(street)[:-1], tmp_path / "none")
     (tmp_path / "scene.json").write_text("mine")
-    assert "there already" in refused(*options(street), "--out", tmp_path / "scene.json")
+    assert "exists already" in refused(*options(street), "--out", tmp_path / "scene.json")
     assert (tmp_path / "scene.json").read_text() == "mine"
     assert "expected tracks or hand, got 'feet'" in refused(*options(street), "--births", "feet")
     assert "for boxes in the image only" in refused(
@@ -214,8 +217,8 @@ def test_marks_that_lie_anywhere_teach_nothing_of_where(tmp_path):
         w, h = rng.uniform(4, 300, 2)
         lines.append(f"{k},-1,{x - w / 2:.1f},{y - h / 2:.1f},{w:.1f},{h:.1f},1,-1,-1,-1")
     (tmp_path / "det.txt").write_text("\n".join(lines) + "\n")
-    given = SourceOptions("", tmp_path / "det.txt", "", "720x480", 25.0)
-    found = to_label(given, {}, tmp_path / "labels", Output())
+    given = SourceRequest("", tmp_path / "det.txt", "", "720x480", 25.0)
+    found = open_sequence(given, {}, tmp_path / "labels", Output())
     store = LabelStore.open(tmp_path / "labels", "det.txt", found.digest, range(1, 31))
     for number in range(1, 31):
         store.mark(number, [Label(number, 0, "false")])

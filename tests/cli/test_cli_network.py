@@ -14,15 +14,15 @@ import pytest
 from cli_runner import phdtrack, refused
 
 import networks
-from phdtrack.cli.live import Maker
-from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions
-from phdtrack.cli.track import prepare
 from phdtrack.config import load
 from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.onnx import OnnxDetector
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections
+from phdtrack.live.camera_setup import CameraSetup
 from phdtrack.run import directory as rundir
+from phdtrack.run.preparation import prepare
+from phdtrack.run.requests import RunRequest, SourceRequest, TrackingRequest
 from phdtrack.state import blocks, to_bytes
 from phdtrack.types import SequenceInfo
 from phdtrack.video import VideoWriter
@@ -50,7 +50,7 @@ def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(made, tmp_path / "work")
     monkeypatch.chdir(tmp_path / "work")
     # Pictures of a report take longer than all that is looked at here.
-    monkeypatch.setattr("phdtrack.run.video.report_html", lambda *_: "")
+    monkeypatch.setattr("phdtrack.run.run_report.report_html", lambda *_: "")
     return tmp_path / "work"
 
 
@@ -71,7 +71,7 @@ def rows(folder: str = "run") -> list[bytes]:
     return [(Path(folder) / name).read_bytes() for name in ROWS]
 
 
-def test_a_network_is_tracked_with_the_usual_settings_and_its_classes(
+def test_a_network_has_the_default_settings_and_its_classes(
     work: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     document = track()
@@ -129,16 +129,19 @@ def test_every_command_takes_a_network(work: Path) -> None:
     )
 
 
-def test_live_knows_the_classes_of_a_network_before_the_first_picture(work: Path) -> None:
-    make = Maker(TrackingOptions(classes="bus"), (), "onnx:net.onnx", 100, None)
+def test_live_knows_the_classes_of_a_network_at_once(work: Path) -> None:
+    make = CameraSetup(TrackingRequest(classes="bus"), (), "onnx:net.onnx", 100, None)
     made = make(SequenceInfo(200, 120, 25.0))
-    assert (made.kinds.only, dict(made.kinds.names)) == ((2,), {0: "person", 1: "car", 2: "bus"})
+    assert (made.classes.only, dict(made.classes.names)) == (
+        (2,),
+        {0: "person", 1: "car", 2: "bus"},
+    )
     assert made.detector(
         networks.scene(200, 120, {0: (10, 10, 60, 60), 2: (90, 10, 140, 60)})
     ).class_id.tolist() == [2]
-    wrong = Maker(TrackingOptions(classes="bud"), (), "onnx:net.onnx", 0, None)
+    wrong = CameraSetup(TrackingRequest(classes="bud"), (), "onnx:net.onnx", 0, None)
     with pytest.raises(InputError, match=r"no class bud\. Did you mean bus"):
-        wrong.looking(wrong.settings(), 0)
+        wrong.new_detector(wrong.settings(), 0)
 
 
 @pytest.mark.parametrize(
@@ -168,12 +171,10 @@ def test_another_video_detector_or_setting_is_detected_anew(work: Path) -> None:
     shutil.copy("clip.mp4", "later.mp4")
 
     def looked(*sets: str, **more: object) -> object:
-        source = SourceOptions(
+        source = SourceRequest(
             **{"source": "clip.mp4", "detector": "onnx:net.onnx", "mask": Path("roi.png"), **more}
         )  # type: ignore[arg-type]
-        return prepare(
-            source, TrackingOptions(), load(None, sets), RunOptions(), video=False
-        ).looked
+        return prepare(RunRequest(source), settings=load(None, sets)).options.detected_by
 
     first = looked()
     assert first
@@ -202,7 +203,7 @@ def test_another_video_detector_or_setting_is_detected_anew(work: Path) -> None:
     assert "Leave out --detect-again" in refused(*words)
 
 
-def test_an_interrupted_run_leaves_nothing_to_use_and_a_broken_file_is_said(
+def test_an_interrupted_run_leaves_no_detections_to_reuse(
     work: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = ChangeDetector.__call__

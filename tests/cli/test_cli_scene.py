@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from cli_runner import phdtrack
 
-from phdtrack.cli.label import to_label
-from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import Output
 from phdtrack.formats import read_truth
 from phdtrack.label import LabelStore
 from phdtrack.label.samples import shuffled
+from phdtrack.label.sequences import open_sequence
+from phdtrack.run.requests import SourceRequest
 
 
 def marked(folder: Path, detections: Path, last: int) -> Path:
@@ -21,8 +21,8 @@ def marked(folder: Path, detections: Path, last: int) -> Path:
     random.
     """
     labels = folder / "labels.sqlite"
-    wanted = SourceOptions(detections=detections)
-    found = to_label(wanted, {}, labels, Output())
+    wanted = SourceRequest(detections=detections)
+    found = open_sequence(wanted, {}, labels, Output())
     truth = read_truth(folder / "gt" / "gt.txt")
     store = LabelStore.open(labels, str(detections), found.digest, shuffled(last, seed=0)[:40])
     store.mark_false(found.table, truth)

@@ -60,7 +60,7 @@ def test_options_change_the_detector_and_nothing_else(tmp_path: Path) -> None:
     assert np.allclose(found[order[0]], truth.xyxy[order[1]], atol=0.01)
 
 
-def test_the_look_of_the_video_is_the_scenes_own_and_can_be_changed(tmp_path: Path) -> None:
+def test_the_look_of_a_scenes_video_can_be_changed(tmp_path: Path) -> None:
     from phdtrack.video import open_source
 
     sizes = {}

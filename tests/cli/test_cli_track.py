@@ -80,9 +80,7 @@ def test_a_video(clip: Path, tmp_path: Path) -> None:
     assert len(read_tracks(out / rundir.TRACKS)) > 30
 
 
-def test_detect_writes_what_track_reads_in_coordinates_of_the_video(
-    clip: Path, tmp_path: Path
-) -> None:
+def test_detect_writes_coordinates_of_the_video(clip: Path, tmp_path: Path) -> None:
     tables = []
     for width in (0, 160):
         file = tmp_path / str(width) / rundir.DETECTIONS

@@ -138,7 +138,7 @@ assert first((3.0,)) == 3.0
 """
 
 
-def test_a_kernel_of_a_users_record_is_not_kept_and_harms_no_other_program(installed: Path) -> None:
+def test_a_kernel_of_a_users_record_is_not_cached(installed: Path) -> None:
     first = "\n\n@njit(cache=True)\ndef first(record):\n    return record[0]\n"
     own = CALLER.replace("from numba import njit", "from phdtrack.kernels.cache import njit")
     (installed / "phdtrack" / "kernels" / "caller.py").write_text(own + first)
@@ -185,9 +185,7 @@ for kernel in (outer, own):
 """
 
 
-def test_what_only_kernels_call_is_optimised_in_them_and_a_users_own_functions_are_as_ever() -> (
-    None
-):
+def test_users_own_compiled_functions_are_unchanged() -> None:
     done = subprocess.run(
         [sys.executable, "-c", VECTORS], capture_output=True, text=True, timeout=120
     )
@@ -206,7 +204,7 @@ for k in range(20):
 """
 
 
-def test_particles_have_the_same_digits_where_their_kernels_are_compiled_and_where_they_are_loaded(
+def test_compiled_and_loaded_kernels_give_the_same_particles(
     tmp_path: Path,
 ) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}

@@ -95,7 +95,7 @@ VIDEOS = "phdtrack[video]"
 PAGES = "phdtrack[web]"
 
 
-def test_a_tracker_needs_none_of_the_extras_nor_what_the_command_line_needs() -> None:
+def test_a_tracker_needs_none_of_the_extras() -> None:
     program = (
         WITHOUT.format(absent={*EXTRAS, "jinja2", "markupsafe", "typer", "click", "rich", "cv2"})
         + LOOP
@@ -172,7 +172,7 @@ def test_what_the_core_can_do_alone(
     ],
     ids=lambda value: " ".join(value[:1]) if isinstance(value, list) else value,
 )
-def test_what_is_missing_is_said_at_once_with_the_line_that_brings_it(
+def test_a_missing_extra_is_named_at_once(
     words: list[str], absent: str, package: str, sequence: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     forget(monkeypatch, [absent])
@@ -181,7 +181,7 @@ def test_what_is_missing_is_said_at_once_with_the_line_that_brings_it(
     assert not (sequence / "runs").exists() or not [*(sequence / "runs").rglob("*.csv")]
 
 
-def test_every_package_that_may_be_missing_is_in_its_extra_and_all_has_all() -> None:
+def test_every_optional_package_is_in_an_extra() -> None:
     extras = PROJECT["optional-dependencies"]
     named = {"paho": "paho-mqtt"}
     for module, package in EXTRAS.items():
@@ -316,7 +316,7 @@ def test_the_first_blocks_of_the_readme_can_be_pasted_one_by_one(alone: Alone) -
     assert re.search(r"^29 1 \[", done.stdout, re.MULTILINE), done.stdout
 
 
-def test_the_loops_for_those_who_come_from_elsewhere_run_with_the_real_packages(
+def test_loops_of_other_packages_run_with_them(
     alone: Alone,
 ) -> None:
     """But for networks, which would fetch their weights. Norfair itself asks for NumPy 1: a fork
@@ -336,7 +336,7 @@ def test_the_loops_for_those_who_come_from_elsewhere_run_with_the_real_packages(
     assert done.returncode == 0, done.stderr
 
 
-def test_the_package_trackers_and_phdtrack_take_and_give_the_same_detections(alone: Alone) -> None:
+def test_trackers_and_phdtrack_exchange_detections(alone: Alone) -> None:
     alone.install("supervision")
     pinned = (ROOT / "benchmarks" / "peers-constraints.txt").read_text(encoding="utf-8")
     # What it asks for beside these would put another OpenCV in place.

@@ -16,7 +16,7 @@ from pyarrow import parquet
 
 from phdtrack.formats import read_tracks
 from phdtrack.metrics import evaluate
-from phdtrack.run.directory import claim, given_tracks
+from phdtrack.run.directory import claim, read_run_tracks
 from phdtrack.run.segments import Segment, cut, join
 from phdtrack.types import Tracks, Truth
 
@@ -78,7 +78,7 @@ def joined(tmp_path: Path, first: list[Any], second: list[Any]) -> list[list[str
     return [line.split(",")[:3] for line in text]
 
 
-def test_two_who_cross_at_the_border_keep_their_identities_and_others_get_new_ones(
+def test_identities_are_kept_across_a_segment_border(
     tmp_path: Path,
 ) -> None:
     """1 and 2 cross; 9 is in rows of the first segment only, and 4 in those of the second."""
@@ -105,7 +105,7 @@ def test_two_who_cross_at_the_border_keep_their_identities_and_others_get_new_on
     assert [line.partition(",")[0] for line in states[1:]] == [row[0] for row in rows]
 
 
-def test_a_car_is_not_a_person_and_a_hidden_one_is_known_by_where_he_comes_back(
+def test_segments_match_identities_of_one_class(
     tmp_path: Path,
 ) -> None:
     first = [(k, 1, 50.0, "car") for k in range(1, 15)] + [
@@ -149,7 +149,7 @@ def same(out: Path, other: Path) -> None:
 
 
 def test_the_tracks_are_those_of_the_whole(whole: Path) -> None:
-    run = given_tracks(whole / "all" / "runs" / "det")
+    run = read_run_tracks(whole / "all" / "runs" / "det")
     plain = read_tracks(whole / "plain" / "runs" / "det" / "tracks.csv")
     assert sorted(path.name for path in (whole / "all/segments/det").iterdir()) == sorted(PARTS)
     assert (run.info.frames, run.info.width, len(np.unique(run.tracks.identity))) == (40, 320, 2)
@@ -189,9 +189,7 @@ def test_shards_do_the_same_and_the_last_one_joins(whole: Path, tmp_path: Path) 
     same(tmp_path, whole / "all")
 
 
-def test_a_segment_that_fails_does_not_stop_others_and_is_done_by_the_next_call(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_a_failed_segment_is_retried_by_the_next_call(whole: Path, tmp_path: Path) -> None:
     words = ("batch", whole / "det/det.txt", "--out", tmp_path, *CUT, *REST)
     stone = tmp_path / "segments" / "det" / PARTS[0]
     stone.parent.mkdir(parents=True)
@@ -233,9 +231,7 @@ def test_what_cannot_be_cut_is_refused(whole: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("frames", ["11-30", "21-"])
-def test_frames_chosen_keep_numbers_and_times_and_are_scored_alone(
-    frames: str, whole: Path, tmp_path: Path
-) -> None:
+def test_chosen_frames_keep_numbers_and_times(frames: str, whole: Path, tmp_path: Path) -> None:
     first = int(frames.split("-")[0])
     last = int(frames.split("-")[1] or 40)
     words = (

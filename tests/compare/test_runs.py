@@ -16,7 +16,7 @@ from compare_cases import FRAMES, planned, sequence, small
 import phdtrack
 from phdtrack.compare import run, runs, steps
 from phdtrack.compare.plans import Run
-from phdtrack.compare.runs import RunResult, read_about, run_input
+from phdtrack.compare.runs import ComparedRun, read_about, run_input, sources_digest
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.metrics import evaluate
 from phdtrack.parallel import Failed
@@ -33,17 +33,17 @@ def tracks(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("tracks.csv")}
 
 
-def plain(outcomes: Mapping[Path, RunResult | Failed]) -> dict[Path, object]:
+def plain(outcomes: Mapping[Path, ComparedRun | Failed]) -> dict[Path, object]:
     """Everything but the times."""
     return {
         place: (one.detections, one.rows, one.drawn, scores(one))
         for place, one in outcomes.items()
-        if isinstance(one, RunResult)
+        if isinstance(one, ComparedRun)
     }
 
 
-def scores(one: RunResult | Failed) -> dict[str, float | int | None]:
-    assert isinstance(one, RunResult)
+def scores(one: ComparedRun | Failed) -> dict[str, float | int | None]:
+    assert isinstance(one, ComparedRun)
     assert one.scores is not None
     return one.scores.as_dict()
 
@@ -63,7 +63,7 @@ def test_outcomes_are_those_of_the_tracks_that_are_kept(tmp_path: Path) -> None:
         } == pytest.approx(
             {name: -1 if value is None else value for name, value in again.items()}, rel=1e-5
         )
-        assert isinstance(outcome, RunResult)
+        assert isinstance(outcome, ComparedRun)
         assert (outcome.frames, outcome.rows) == (FRAMES, len(written))
 
 
@@ -110,7 +110,7 @@ def test_where_nothing_is_random_one_run_stands_for_all_seeds(tmp_path: Path) ->
     drawn = {
         (one.method.name, one.seed): outcome.drawn
         for one, outcome in found.runs
-        if isinstance(outcome, RunResult)
+        if isinstance(outcome, ComparedRun)
     }
     assert drawn == {
         **{("particle-phd", seed): True for seed in (1, 2, 3)},
@@ -158,15 +158,18 @@ def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> N
     ("part", "decides"), [("filters/none.py", True), ("report/pages.py", False)]
 )
 def test_a_change_of_what_makes_results_is_another_digest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, decides: bool
+    tmp_path: Path, part: str, decides: bool
 ) -> None:
-    home = Path(phdtrack.__file__).parent
-    shutil.copytree(home, tmp_path / "phdtrack", ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(phdtrack, "__file__", str(tmp_path / "phdtrack" / "__init__.py"))
-    before = runs._sources.__wrapped__()
+    home = tmp_path / "phdtrack"
+    shutil.copytree(
+        Path(phdtrack.__file__).parent, home, ignore=shutil.ignore_patterns("__pycache__")
+    )
+    before = sources_digest(home)
+    sources_digest.cache_clear()
     with (tmp_path / "phdtrack" / part).open("a") as file:
         file.write("\n")
-    assert (runs._sources.__wrapped__() != before) == decides
+    assert (sources_digest(home) != before) == decides
+    sources_digest.cache_clear()
 
 
 def test_a_damaged_folder_is_run_again(tmp_path: Path) -> None:
@@ -201,7 +204,7 @@ def test_without_truth_there_are_no_scores(tmp_path: Path) -> None:
     folder = sequence(tmp_path / "a", truth=False)
     found = run(planned([folder], filters=["none"], seeds=1), tmp_path / "out")
     (outcome,) = found.results.values()
-    assert isinstance(outcome, RunResult)
+    assert isinstance(outcome, ComparedRun)
     assert outcome.scores is None
     assert outcome.tracks > 0
     assert run(found.plan, tmp_path / "out").reused == 1

@@ -11,7 +11,7 @@ from compare_cases import small
 
 from phdtrack.compare import Comparison, run, summary
 from phdtrack.compare.results import Results
-from phdtrack.compare.runs import RunResult
+from phdtrack.compare.runs import ComparedRun
 from phdtrack.compare.statistics import Row, interval
 from phdtrack.metrics import Scores, pool
 from phdtrack.parallel import Failed
@@ -42,7 +42,7 @@ def scores(comparison: Comparison, rate: float, method: str, seed: int) -> list[
         if (run.rate, run.method.name, run.seed) == (rate, method, seed)
     ]
     found = [comparison.result(run) for run in runs]
-    return [one.scores for one in found if isinstance(one, RunResult) and one.scores is not None]
+    return [one.scores for one in found if isinstance(one, ComparedRun) and one.scores is not None]
 
 
 def test_pooled_rows_add_up_the_sums_seed_by_seed(comparison: Comparison) -> None:

@@ -18,7 +18,7 @@ import pytest
 from phdtrack.config import build_classes, load
 from phdtrack.live import engine
 from phdtrack.live.checkpoint import LOST, NAME
-from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.engine import Camera, CameraParts, CameraSettings
 from phdtrack.live.events import Watch
 from phdtrack.live.zones import Place
 from phdtrack.types import Detections, SequenceInfo
@@ -31,10 +31,10 @@ START = 1_790_000_000.0
 def run(folder: Path, *, sets: tuple[str, ...] = (), delay: int = 0, every: float = 1e9) -> Camera:
     """A camera whose detector finds what the pictures say, and whose source is this test."""
 
-    def make(info: SequenceInfo) -> Making:
+    def make(info: SequenceInfo) -> CameraParts:
         found = load(None, ["associate.history=10", f"associate.output_delay={delay}", *sets])
         fixed = {"filter.kind": found.kind("filter")}
-        return Making(detect, build_classes(found, info), info, delay=delay, fixed=fixed)  # type: ignore[arg-type]
+        return CameraParts(detect, build_classes(found, info), info, delay=delay, fixed=fixed)  # type: ignore[arg-type]
 
     def detect(frame: Any) -> Detections:
         left = int(frame.image[0, 0, 0])

@@ -19,26 +19,29 @@ from camera_server import SIDE, WALL, Scripted, until
 
 from phdtrack.config import build_classes, build_groups, load
 from phdtrack.groups.group_stages import OnlineGroups
-from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live import checkpoint
+from phdtrack.live.engine import Camera, CameraParts, CameraSettings
 from phdtrack.live.events import Event, Maps, Watch
-from phdtrack.live.outputs import stamp
+from phdtrack.live.outputs import VideoLog, stamp
 from phdtrack.live.zones import Place, write_places
 from phdtrack.tracker import Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo
 from phdtrack.video import open_source
-from phdtrack.video.live_sources import LiveFrame
 
 DOOR = Place("door", ((80.0, 119.0), (80.0, 0.0)), closed=False)
 
 
 class Bright:
-    """Finds what is white; hangs while `hold` is set, and says so."""
+    """Finds what is white; hangs while `hold` is set, and raises while `fails` is."""
 
     def __init__(self) -> None:
         self.hold = threading.Event()
         self.hangs = threading.Event()
+        self.fails = False
 
     def __call__(self, frame: Frame) -> Detections:
+        if self.fails:
+            raise ZeroDivisionError
         while self.hold.is_set():
             self.hangs.set()
             time.sleep(0.02)
@@ -56,18 +59,22 @@ def camera(
     detector: Bright | None = None,
     config: Path | None = None,
     delay: int = 0,
+    made: list[CameraParts] | None = None,
 ) -> Camera:
-    """A started camera; it remembers ten seconds."""
+    """A started camera; it remembers ten seconds. Its parts are added to ``made``."""
 
-    def make(info: SequenceInfo) -> Making:
+    def make(info: SequenceInfo) -> CameraParts:
         found = load(config, ["associate.history=10", f"associate.output_delay={delay}"])
-        return Making(
+        parts = CameraParts(
             detector or Bright(),
             build_classes(found, info),
             info,
             delay,
             {"filter.kind": found.kind("filter")},
         )
+        if made is not None:
+            made.append(parts)
+        return parts
 
     one = Camera("gate", source, make, settings)
     one.start()
@@ -139,9 +146,9 @@ def test_places_and_settings_change_while_it_runs(tmp_path: Path) -> None:
     places = tmp_path / "places.toml"
     config = tmp_path / "mine.toml"
     config.write_text("[sensor]\ndetection_probability = 0.95\n")
-    one = camera(
-        Scripted(), CameraSettings(tmp_path / "out", places, config, video=0), config=config
-    )
+    made = list[CameraParts]()
+    settings = CameraSettings(tmp_path / "out", places, config, video=0)
+    one = camera(Scripted(), settings, config=config, made=made)
     until(lambda: one.counted["appear"])
     write_places(places, (DOOR,))
     until(lambda: one.counted["cross"])
@@ -153,7 +160,7 @@ def test_places_and_settings_change_while_it_runs(tmp_path: Path) -> None:
     write_places(places, (DOOR,))
     until(lambda: not one.problems)
     replaced(config, "[sensor]\ndetection_probability = 0.9\n")
-    until(lambda: one._made.kinds.usual.model.sensor.detection_probability == 0.9)
+    until(lambda: made[-1].classes.usual.model.sensor.detection_probability == 0.9)
     replaced(config, '[filter]\nkind = "gm-phd"\n')
     until(lambda: one.problems)
     assert "filter.kind cannot change while it runs" in one.problems[0]
@@ -189,16 +196,16 @@ def test_a_first_picture_that_fails_leaves_what_was_saved(
     until(lambda: one.counted["cross"] > 1)
     assert one.stop(600.0)
     before = one.watched[1].counts[0]
-    failed = list[int]()
-    real = Camera._go_on
+    failed = list[Path]()
+    real = checkpoint.load
 
-    def go_on(self: Camera, frame: LiveFrame) -> None:
-        failed.append(frame.number)
+    def failing(folder: Path, key: str) -> object:
+        failed.append(folder)
         if len(failed) < 3:
             raise MemoryError
-        real(self, frame)
+        return real(folder, key)
 
-    monkeypatch.setattr(Camera, "_go_on", go_on)
+    monkeypatch.setattr("phdtrack.live.engine.load", failing)
     one = camera(Scripted(wall=WALL + 400), settings)
     until(lambda: len(failed) == 3 and one.frames)
     after = one.watched[1].counts[0]
@@ -206,7 +213,7 @@ def test_a_first_picture_that_fails_leaves_what_was_saved(
     assert one.stop(600.0)
 
 
-def test_whatever_fails_at_the_end_is_said_and_leaves_the_other_cameras_their_turn(
+def test_a_failure_at_the_end_is_reported(
     tmp_path: Path,
 ) -> None:
     one = camera(Scripted(), CameraSettings(tmp_path, video=0))
@@ -242,15 +249,14 @@ def test_it_ends_in_time_with_whole_files_whatever_hangs(tmp_path: Path, what: s
     detector.hold.clear()
 
 
-def test_it_ends_in_time_though_an_encoder_hangs_and_says_that_a_file_is_not_complete(
-    tmp_path: Path,
+def test_it_ends_in_time_if_an_encoder_hangs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    encoder = Bright()
+    monkeypatch.setattr(VideoLog, "write", lambda self, image, wall: encoder(Frame(1, 0.0, image)))
     one = camera(Scripted(), CameraSettings(tmp_path))
     until(lambda: one.counted["appear"])
-    assert one._video is not None
-    encoder = Bright()
     encoder.hold.set()
-    one._video.write = lambda image, wall: encoder(Frame(1, 0.0, image))
     until(encoder.hangs.is_set)
     begun = time.monotonic()
     assert not one.stop()
@@ -281,7 +287,7 @@ def test_events_that_a_full_disk_refused_are_written_later(tmp_path: Path) -> No
     assert events(tmp_path)[0]["kind"] == "appear"
 
 
-def test_a_table_that_another_process_holds_keeps_no_picture_waiting(tmp_path: Path) -> None:
+def test_a_locked_table_keeps_no_picture_waiting(tmp_path: Path) -> None:
     one = camera(Scripted(), CameraSettings(tmp_path, video=0))
     other = sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
@@ -309,15 +315,15 @@ def test_a_camera_whose_pictures_all_fail_is_not_at_work(tmp_path: Path) -> None
     one = camera(Scripted(), CameraSettings(tmp_path, video=0), detector)
     until(lambda: one.frames > 5)
     assert one.working
-    one._made = one._made._replace(detector=lambda frame: 1 / 0)
+    detector.fails = True
     until(lambda: not one.working)
     assert one.alive
-    one._made = one._made._replace(detector=detector)
+    detector.fails = False
     until(lambda: one.working)
     assert one.stop(600.0)
 
 
-def test_a_file_of_places_that_is_rewritten_in_place_is_read_when_it_is_whole(
+def test_a_rewritten_file_of_places_is_read_when_complete(
     tmp_path: Path,
 ) -> None:
     places = tmp_path / "places.toml"
@@ -330,9 +336,9 @@ def test_a_file_of_places_that_is_rewritten_in_place_is_read_when_it_is_whole(
         file.flush()
         seen = one.frames
         until(lambda: one.frames > seen + 5)
-        seen = one._seen["places"]
+        watch = one.watched[0]
         file.write(text + "# the same\n")
-    until(lambda: one._seen["places"] != seen)
+    until(lambda: one.watched[0] is not watch)
     assert one.watched[0].places == (DOOR,)
     assert one.watched[1].counts[0].entered >= counts.entered
     assert one.watched[1].counts[0].left >= counts.left
@@ -364,9 +370,9 @@ def test_groups_on_the_ground_are_events(tmp_path: Path) -> None:
             "camera.region=[-30,-30,30,30]",
         ]
     )
-    kinds = build_classes(found, info)
-    groups = OnlineGroups(build_groups(found, kinds.usual), kinds.usual, first=8)
-    tracker = Tracker(stages=kinds, fps=5.0)
+    classes = build_classes(found, info)
+    groups = OnlineGroups(build_groups(found, classes.usual), classes.usual, first=8)
+    tracker = Tracker(stages=classes, fps=5.0)
     told = []
     for k in range(1, 41):
         # Two walk together, a third far from them.

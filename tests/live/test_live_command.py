@@ -24,10 +24,11 @@ from typer.testing import CliRunner
 
 from phdtrack.cli.app import application
 from phdtrack.cli.live import LiveOptions, _settings, named_sources
-from phdtrack.cli.options import TrackingOptions, size
+from phdtrack.cli.options import size
 from phdtrack.cli.output import Output
 from phdtrack.live.engine import CameraSettings
 from phdtrack.live.events import Watch
+from phdtrack.run.requests import TrackingRequest
 from phdtrack.types import SequenceInfo
 
 pytestmark = pytest.mark.slow
@@ -296,14 +297,14 @@ def test_sources_have_names_and_sizes_are_read() -> None:
 
 
 def test_settings_are_those_of_track_with_bounded_history() -> None:
-    from phdtrack.cli.live import Maker
+    from phdtrack.live.camera_setup import CameraSetup
 
-    make = Maker(TrackingOptions(), (), "change", 0, None)
+    make = CameraSetup(TrackingRequest(), (), "change", 0, None)
     made = make(SequenceInfo(64, 48, 10.0))
     assert make.settings().build("associate").history > 0
     assert make.settings().preset == "mot15"
     assert made.groups is None
     assert {"filter.kind", "detector.min_area"} <= {*made.fixed, "detector.min_area"}
-    assert Maker(TrackingOptions(sets=["motion.kind=plane"]), (), "person", 0, None)(
+    assert CameraSetup(TrackingRequest(sets=["motion.kind=plane"]), (), "person", 0, None)(
         SequenceInfo(64, 48, 10.0)
     ).groups

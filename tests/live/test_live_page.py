@@ -20,7 +20,7 @@ from starlette.testclient import TestClient
 from browsers import faults, needs_browser
 from phdtrack.config import build_classes, load
 from phdtrack.detect import make_detector
-from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.engine import Camera, CameraParts, CameraSettings
 from phdtrack.live.live_page import METRICS, live_app
 from phdtrack.live.zones import Place, read_places, write_places
 from phdtrack.types import Detections, SequenceInfo
@@ -50,8 +50,8 @@ def camera(server: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> It
     folder = tmp_path_factory.mktemp("live")
     write_places(folder / "places.toml", (DOOR, ROOM))
 
-    def make(info: SequenceInfo) -> Making:
-        return Making(
+    def make(info: SequenceInfo) -> CameraParts:
+        return CameraParts(
             make_detector("change", min_area=0.005), build_classes(load(preset="mot15"), info), info
         )
 
@@ -78,9 +78,9 @@ def test_pictures_videos_and_maps_are_blurred(tmp_path: Path) -> None:
         image[30:94, 40:104] = np.tile(block, (16, 16))[..., None]
         return image
 
-    def make(info: SequenceInfo) -> Making:
+    def make(info: SequenceInfo) -> CameraParts:
         found = Detections.of(np.array([[40.0, 30, 104, 94]]))
-        return Making(lambda frame: found, build_classes(load(preset="mot15"), info), info)
+        return CameraParts(lambda frame: found, build_classes(load(preset="mot15"), info), info)
 
     def rough(data: bytes) -> float:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
@@ -164,9 +164,9 @@ def test_prometheus_can_read_the_numbers(page: TestClient, camera: Camera) -> No
 
 
 def test_boxes_that_were_not_used_are_counted(tmp_path: Path) -> None:
-    def make(info: SequenceInfo) -> Making:
+    def make(info: SequenceInfo) -> CameraParts:
         found = Detections.of(np.array([[40.0, 30, 64, 94], [90, 30, 114, 94], [5, 5, 5, 5]]))
-        return Making(
+        return CameraParts(
             lambda frame: found, build_classes(load(None, ["limits.max_detections=1"]), info), info
         )
 

@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 
 from phdtrack import Tracker
 from phdtrack.cli.app import application
-from phdtrack.cli.options import SourceOptions
 from phdtrack.errors import InputError
-from phdtrack.run import inputs
-from phdtrack.run.inputs import Inputs
+from phdtrack.run import camera_input
+from phdtrack.run.inputs import Inputs, open_inputs
+from phdtrack.run.requests import SourceRequest
 from phdtrack.tracker import FinalTracks
 from phdtrack.types import Frame
 from phdtrack.video import open_source
@@ -94,7 +94,7 @@ def test_a_camera_that_dies_returns_and_freezes(tmp_path: Path) -> None:
     # At most ten of the forty were under way when the camera returned; the others were sent a tenth
     # of a second apart.
     assert returned - seen + 2.9 < video[-1].time < asked - camera.sent[0]
-    assert "pictures a second, each taken at the time at which it arrived" in errors
+    assert "pictures a second, each at the time at which it arrived" in errors
     for path in out.iterdir():
         assert b"secret99" not in path.read_bytes(), path
     assert "secret99" not in said + errors
@@ -131,8 +131,8 @@ def test_a_signal_ends_a_run_whose_camera_says_nothing(
 
 def scripted(monkeypatch: pytest.MonkeyPatch, source: Scripted) -> Inputs:
     """The inputs of a run on a camera whose pictures and times are given."""
-    monkeypatch.setattr(inputs, "LiveSource", lambda address: source)
-    return inputs.open_inputs(SourceOptions("rtsp://bob:secret99@cam/1"), {})
+    monkeypatch.setattr(camera_input, "LiveSource", lambda address: source)
+    return open_inputs(SourceRequest("rtsp://bob:secret99@cam/1"), {})
 
 
 def test_times_are_those_of_pictures_and_the_rate_is_theirs(
@@ -167,7 +167,7 @@ def test_pictures_that_nobody_had_time_for_are_counted(monkeypatch: pytest.Monke
     frames = opened.source.read(opened.source)
     next(frames)
     frames.close()
-    assert f"{source.dropped} pictures left out" in opened.source.problem
+    assert f"{source.dropped} pictures dropped" in opened.source.problem
 
 
 def test_a_mute_camera_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,17 +175,17 @@ def test_a_mute_camera_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     camera.mute = True
     monkeypatch.setattr("phdtrack.video.decoding.CONNECT", 0.5)
     with pytest.raises(InputError, match=r"no answer in 0\.5 s") as raised:
-        inputs.open_inputs(SourceOptions(camera.url.replace("://", "://bob:secret99@")), {})
+        open_inputs(SourceRequest(camera.url.replace("://", "://bob:secret99@")), {})
     assert "secret99" not in str(raised.value)
-    assert "switched on" in raised.value.cure
+    assert "that the device is on" in raised.value.cure
     camera.kill()
 
 
-def test_a_camera_that_does_not_return_ends_a_run_that_is_not_complete(
+def test_a_lost_camera_ends_an_incomplete_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inputs, "GIVE_UP", 1.0)
-    monkeypatch.setattr(inputs, "LiveSource", lambda address: Scripted(last=40))
+    monkeypatch.setattr(camera_input, "GIVE_UP", 1.0)
+    monkeypatch.setattr(camera_input, "LiveSource", lambda address: Scripted(last=40))
     out = tmp_path / "run"
     words = [
         "track",
@@ -210,7 +210,7 @@ def walk(k: int) -> list[list[float]]:
     return there + ([[300.0 + k % 200, 600, 340 + k % 200, 700]] if k % 200 < 120 else [])
 
 
-def test_final_tracks_are_those_of_a_tracker_that_forgets_nothing() -> None:
+def test_final_tracks_equal_those_of_unlimited_memory() -> None:
     endless = Tracker((1280, 800), fps=10, associate={"history": 60.0})
     whole = Tracker((1280, 800), fps=10)
     final = FinalTracks(endless, lag=10.0, every=10.0)
@@ -235,7 +235,7 @@ def test_final_tracks_are_those_of_a_tracker_that_forgets_nothing() -> None:
     assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) > 10
 
 
-def test_the_rest_is_all_that_was_not_given_and_a_reset_begins_anew() -> None:
+def test_the_rest_is_all_that_was_not_final() -> None:
     tracker = Tracker((1280, 800), fps=10)
     final = FinalTracks(tracker, lag=1.0, every=1.0)
     given = list[int]()

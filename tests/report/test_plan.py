@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phdtrack.cli.groups import extent_of
 from phdtrack.groups.clusters import Groups
 from phdtrack.groups.encounters import Encounter
 from phdtrack.groups.group_stages import GroupFrame
@@ -17,6 +16,7 @@ from phdtrack.groups.life_cycle import Event
 from phdtrack.report.drawing import Canvas, identity_colour
 from phdtrack.report.ground_plan import Plan, PlanScene
 from phdtrack.report.pages import render
+from phdtrack.run.grouping import extent_of
 
 PLAN = Plan((-9.0, 0.0, 9.0, 10.0), 200)
 NOWHERE = np.zeros((2, 0))

@@ -1,8 +1,8 @@
 """The command line: ``phdtrack COMMAND`` and ``python -m phdtrack COMMAND``.
 
 Exit status: 0 the job is done; 1 something failed that is not the user's input; 2 the input or the
-options cannot be used, said in one sentence on stderr; 130 stopped by Ctrl-C, 143 by SIGTERM, 129
-by SIGHUP. With ``--json`` stdout carries exactly one JSON object, and everything else goes to
+options cannot be used, with one sentence on stderr; 130 stopped by Ctrl-C, 143 by SIGTERM, 129 by
+SIGHUP. With ``--json`` stdout carries exactly one JSON object, and everything else goes to
 stderr.
 """
 
@@ -13,7 +13,7 @@ import inspect
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -26,8 +26,7 @@ from phdtrack.errors import InputError, absent, interrupted
 
 Command = Callable[..., None]
 
-# What each command does. Its module, of the same name but for these three, is loaded when it is
-# run.
+# What each command does. Its module, of the same name except `_MODULES`, is loaded when it is run.
 COMMANDS = {
     "live": "Track cameras without end: events, rows and videos by the hour, and a page.",
     "demo": "Render a street and track the people in it, with the filter and without.",
@@ -54,15 +53,15 @@ COMMANDS = {
         "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`."
     ),
     "calibrate": (
-        "Make a camera of four or more points of flat ground, and say how well it fits each of"
+        "Make a camera of four or more points of flat ground, and report how well it fits each of"
         " them."
     ),
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
 }
-# Seconds after which a thread gives the interpreter to one that waits: those of a run need it
+# Seconds after which a thread gives the interpreter to one that waits: the threads of a run need it
 # often, each time briefly.
 _SWITCH = 1e-5
-_MODULES = {"demo": "simulate", "detect": "track", "learn": "label", "settings": "show_settings"}
+_MODULES = {"demo": "simulate", "settings": "show_settings"}
 _SUMMARY = (
     "From a video, or any detector's boxes, to tracks: a filter of random finite sets between"
     " detector and identities."
@@ -70,7 +69,7 @@ _SUMMARY = (
 
 
 def application(name: str) -> typer.Typer:
-    """The command line with the command ``name`` loaded, and of the others what they do."""
+    """The command line with the command ``name`` loaded, and the other commands' help."""
     app = typer.Typer(
         name="phdtrack",
         help=_SUMMARY,
@@ -105,7 +104,7 @@ class _Passing(TyperCommand):
 
 
 def guarded(command: Command) -> Command:
-    """The command with its errors said in one sentence and turned into an exit status."""
+    """The command with its errors printed as one sentence and turned into an exit status."""
 
     @functools.wraps(command)
     def run(**options: Any) -> None:
@@ -120,7 +119,7 @@ def guarded(command: Command) -> Command:
                 raise
             raise failed("stopped", signals.status()) from error
         except BrokenPipeError:
-            # The reader of our output has gone (phdtrack ... | head): nothing can be said.
+            # The reader of our output has gone (phdtrack ... | head): nothing can be printed.
             raise
         except OSError as error:
             if error.filename:
@@ -138,20 +137,13 @@ def with_options(command: Command) -> Command:
     records: dict[str, Any] = {
         name: one.annotation for name, one in parameters.items() if is_dataclass(one.annotation)
     }
-    options = []
+    options = list[inspect.Parameter]()
     for name, parameter in parameters.items():
-        own = (
-            inspect.signature(records[name], eval_str=True).parameters.values()
-            if name in records
-            else [parameter]
-        )
-        options += [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
+        options += _options_of(records[name]) if name in records else [parameter]
+    options = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in options]
 
     def run(**values: Any) -> None:
-        made = {
-            name: kind(**{one.name: values.pop(one.name) for one in fields(kind)})
-            for name, kind in records.items()
-        }
+        made = {name: _record(kind, values) for name, kind in records.items()}
         command(**values, **made)
 
     run.__doc__ = command.__doc__
@@ -161,14 +153,51 @@ def with_options(command: Command) -> Command:
     return run
 
 
+def _options_of(record: Any) -> list[inspect.Parameter]:
+    """The fields of a record, and of the records in it, as options.
+
+    The requests of phdtrack.run are plain records: their options stand in `REQUESTS`.
+    """
+    from phdtrack.cli.options import REQUESTS
+
+    annotations = REQUESTS.get(record, {})
+    options = list[inspect.Parameter]()
+    for one in inspect.signature(record, eval_str=True).parameters.values():
+        if is_dataclass(one.annotation):
+            options += _options_of(one.annotation)
+        else:
+            options.append(one.replace(annotation=annotations.get(one.name, one.annotation)))
+    return options
+
+
+def _record(record: Any, values: dict[str, Any]) -> Any:
+    """The record made of the values of its options, which are taken out."""
+    fields = inspect.signature(record, eval_str=True).parameters.values()
+    return record(
+        **{
+            one.name: _record(one.annotation, values)
+            if is_dataclass(one.annotation)
+            else values.pop(one.name)
+            for one in fields
+        }
+    )
+
+
+def parser(command: Command) -> Any:
+    """The command alone, to be called with words of a command line."""
+    app = typer.Typer(add_completion=False, rich_markup_mode=None)
+    app.command()(with_options(command))
+    return typer.main.get_command(app)
+
+
 def failed(sentence: str, status: int) -> typer.Exit:
-    """The sentence on stderr; the exit to raise."""
+    """Print the sentence on stderr, and give the exit to raise."""
     print(f"phdtrack: {sentence}", file=sys.stderr)
     return typer.Exit(status)
 
 
 def version(wanted: bool) -> None:
-    """``--version``: print it and stop."""
+    """Print the version and stop, for ``--version``."""
     if wanted:
         print(f"phdtrack {__version__}")
         raise typer.Exit
@@ -179,11 +208,11 @@ def common(
         bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """What all commands have in common."""
+    """Hold the options of all commands."""
 
 
-# What typer raises for a command line that cannot be read. Some versions bring a click of their
-# own, others import it.
+# The error that typer raises for a command line that cannot be read. Some versions have a click of
+# their own, others import it.
 Misuse: type[Any] = typer.BadParameter.__bases__[0]
 
 
@@ -192,12 +221,12 @@ def main() -> None:
     words = sys.argv[1:] or ["--help"]
     name = words[0]
     if "_PHDTRACK_COMPLETE" in os.environ:
-        # A shell asks how a line goes on, and has it here; bash under the second name.
+        # A shell asks for completions of the line that is here; bash under the second name.
         line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
         name = "".join(line.split()[1:2])
     sys.setswitchinterval(_SWITCH)
     try:
-        # A signal may come before this has returned.
+        # A signal may arrive before this has returned.
         signals.listen()
         status = application(name)(words, prog_name="phdtrack", standalone_mode=False)
         if status == 130 != signals.status():

@@ -17,7 +17,7 @@ from phdtrack.formats.text import read_columns
 from phdtrack.ground import Calibration, fit_homography, footprint
 from phdtrack.ground.calibration import calibration_text
 from phdtrack.groups.contours import polygon_area
-from phdtrack.run.inputs import frame_size
+from phdtrack.run.requests import frame_size
 from phdtrack.types import F8, Bool
 
 # A point is a line of these, in this order where there is no header.
@@ -34,24 +34,21 @@ def calibrate(
     output: Output,
     out: Annotated[Path, option("FILE", "Where to write the camera.")] = Path("camera.toml"),
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a camera that is there already.")
+        bool, typer.Option("--overwrite", help="Replace an existing camera file.")
     ] = False,
     image_size: Annotated[
         str,
         option("WxH", "Frames' size: no point may lie outside.", "--image-size", "--frame-size"),
     ] = "",
 ) -> None:
-    """Make a camera of four or more points of flat ground, and say how well it fits each of them.
+    """Make a camera of four or more points of flat ground, and report how well it fits each.
 
-    The file that it writes is what --camera of other commands takes.
+    Other commands take the file as --camera.
     """
-    if image_size:
-        size = frame_size(image_size)
-    else:
-        size = None
+    size = frame_size(image_size) if image_size else None
     if out.exists() and not overwrite:
         raise InputError(
-            "the file is there already",
+            "the file exists already",
             where=f"--out {out}",
             cure="Say --overwrite, or choose another --out.",
         )
@@ -59,10 +56,7 @@ def calibrate(
     pixel = np.ascontiguousarray(table[:, :2].T)
     world = np.ascontiguousarray(table[:, 2:4].T)
     unknown: Bool = np.logical_not(np.isfinite(table).all(axis=1))
-    if table.shape[1] < 5:
-        height = np.zeros(len(table))
-    else:
-        height = table[:, 4]
+    height = table[:, 4] if table.shape[1] == 5 else np.zeros(len(table))
     flat = (
         "A homography knows flat ground only: leave out points above it, or calibrate with OpenCV."
     )

@@ -17,19 +17,21 @@ import typer
 from phdtrack import compare as comparing
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
-from phdtrack.cli.output import PACE, Output, progress
-from phdtrack.cli.show_settings import detections_needed, only_classes, scene_settings
+from phdtrack.cli.output import PACE, Output
+from phdtrack.cli.track import command_line
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.results import Results
-from phdtrack.compare.runs import RunResult
-from phdtrack.config import build
+from phdtrack.compare.runs import ComparedRun
+from phdtrack.config import build_classes
 from phdtrack.errors import InputError
 from phdtrack.files import write_text
 from phdtrack.report import About, write_run
 from phdtrack.report.pages import lines
 from phdtrack.run import directory as rundir
+from phdtrack.run.choices import only_classes, scene_settings
 from phdtrack.run.directory import RunDirectory
-from phdtrack.run.video import about
+from phdtrack.run.preparation import begun_run
+from phdtrack.tracker import Tracker
 
 DOCUMENT = "compare.json"
 CELLS = "compare.csv"
@@ -49,7 +51,7 @@ _VARIANT = (
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """What is compared on the sequences."""
+    """Options of what to compare on the sequences."""
 
     filters: Annotated[
         str, option("NAME,...", "The first is what others are compared to; default: pmb,none.")
@@ -140,13 +142,12 @@ def compare(
     # Once, before several processes would each compile them.
     info = made.cases[0].info
     for method in {method.settings.kind("filter"): method for method in made.methods}.values():
-        detections_needed(build(method.settings, info), info, (info.width / 20, info.height / 10))
-    begun = about(
-        "Comparison of " + ", ".join(method.name for method in made.methods), made.seeds[0]
-    )
+        Tracker(stages=build_classes(method.settings, info, moving=True), fps=info.fps).warm_up()
+    names = ", ".join(method.name for method in made.methods)
+    begun = begun_run(f"Comparison of {names}", command_line(), made.seeds[0])
     clock = time.perf_counter()
     processes = jobs or os.cpu_count() or 1
-    with progress("comparing", comparing.steps(made), PACE) as advance:
+    with output.progress("comparing", comparing.steps(made), PACE) as advance:
         comparison = comparing.run(made, out, processes, anew=overwrite, advance=advance)
     begun = replace(begun, seconds=time.perf_counter() - clock)
     finish(output, comparison, wanted, directory, begun, in_turn=processes == 1)
@@ -155,7 +156,7 @@ def compare(
 
 
 def listed(text: str) -> tuple[str, ...]:
-    """What stands between commas."""
+    """The words between commas."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
@@ -209,12 +210,12 @@ def finish(
 
 
 def doubts(comparison: Comparison) -> tuple[str, ...]:
-    """What a user should know, each sentence once."""
+    """Sentences that a user should know, each once."""
     said = [f"{run} failed: {reason}" for run, reason in comparison.failed]
     said += [
         result.warning
         for _, result in comparison.runs
-        if isinstance(result, RunResult) and result.warning
+        if isinstance(result, ComparedRun) and result.warning
     ]
     each = tuple(dict.fromkeys(said))
     more: tuple[str, ...]

@@ -1,10 +1,8 @@
-"""``phdtrack evaluate``: scores of a file of tracks against annotated objects, and how commands
-show scores.
-"""
+"""``phdtrack evaluate``: scores of a file of tracks against annotated objects; tables of scores."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -30,13 +28,13 @@ from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.causes import FALSE, PLACES
 from phdtrack.report.pages import score_meanings
 from phdtrack.run import directory as rundir
-from phdtrack.run.inputs import refuse
+from phdtrack.run.requests import refuse
 from phdtrack.types import I8, Tracks, Truth
 
 # The scores that a table shows, in its order: keys of `Scores.as_dict`.
 SHOWN = """
-MODA N_MODA MODP MOTA MOTA_log MOTP IDF1 HOTA OSPA GOSPA OSPA2 SFDA ATA id_switches misses false_positives fragments
-false_tracks delay_mean frames
+MODA N_MODA MODP MOTA MOTA_log MOTP IDF1 HOTA OSPA GOSPA OSPA2 SFDA ATA id_switches misses
+false_positives fragments false_tracks delay_mean frames
 """
 WORST = 5
 NO_TRUTH = Truth(*(np.zeros(0, np.int64),) * 2, np.zeros((0, 4)), np.zeros(0, np.bool_))
@@ -51,12 +49,12 @@ BY_TRAJECTORY = (
 
 @dataclass(frozen=True, slots=True)
 class EvaluateOptions:
-    """What does not count, and what is told of errors."""
+    """Regions and classes that count, and reports of errors."""
 
     ignore: Annotated[
         Path | None, option("FILE", "Regions that do not count: CSV frame,x,y,w,h; no frame: all.")
     ] = None
-    kitti: Annotated[str, option("TYPE", "Type that is scored of KITTI label files, as Car.")] = ""
+    kitti: Annotated[str, option("TYPE", "Type of KITTI label files to score, as Car.")] = ""
     per_class: Annotated[
         bool, typer.Option("--per-class", help="Scores of each class; no pair is of two classes.")
     ] = False
@@ -65,7 +63,7 @@ class EvaluateOptions:
         typer.Option("--errors", help="Misses and false boxes by cause, and the worst tracks."),
     ] = False
     detections: Annotated[
-        Path | None, option("FILE", "For --errors: what the tracker was given.")
+        Path | None, option("FILE", "For --errors: the detections that were tracked.")
     ] = None
     worst: Annotated[
         int, option("N", "For --errors: how many objects and tracks are named.", min=0)
@@ -80,7 +78,7 @@ def evaluate(
     asked: EvaluateOptions,
     iou: given.Iou = 0.5,
     frames: Annotated[
-        int, option("N", "Number of frames; 0: as seqinfo.ini or the last box says.", min=0)
+        int, option("N", "Number of frames; 0: that of seqinfo.ini or of the last box.", min=0)
     ] = 0,
     t_gospa: Annotated[
         bool, typer.Option("--t-gospa", help="T-GOSPA too: seconds to minutes on long sequences.")
@@ -92,30 +90,22 @@ def evaluate(
     """Score tracks against annotated objects.
 
     A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts.
-    --errors says why boxes are missed or false. With --json a score whose denominator is empty is
-    null.
+    --errors reports why boxes are missed or false. With --json a score whose denominator is empty
+    is null.
     """
     if not asked.errors:
-        useless = {"--detections": asked.detections, "--worst": asked.worst != WORST}
-        refuse(useless, "it goes with --errors only", "say --errors")
-    if (part := rundir.part_of_run(tracks)) and part != "1-":
-        said = f"the run tracked the frames {part} alone, and objects of all others are missed"
-        output.warn([f"{said}: phdtrack track --truth scores those frames"])
+        unused = {"--detections": asked.detections, "--worst": asked.worst != WORST}
+        refuse(unused, "it goes with --errors only", "say --errors")
+    part = rundir.part_of_run(tracks)
+    if part and part != "1-":
+        missed = f"the run tracked the frames {part} alone, and objects of all others are missed"
+        output.warn([f"{missed}: phdtrack track --truth scores those frames"])
     if asked.per_class:
         output.document(per_class(output, truth, tracks, asked, iou=iou, frames=frames))
         return
-    annotated = read_truth(truth, kitti=asked.kitti)
+    annotated = _counted(read_truth(truth, kitti=asked.kitti), asked)
     found = read_tracks(tracks, kitti=asked.kitti)
-    if asked.ignore is None:
-        annotated = annotated
-    else:
-        annotated = ignoring(annotated, asked.ignore)
-    if frames:
-        known = None
-    else:
-        known = find_seqinfo(truth)
-    if known is not None:
-        frames = max(known.frames, int(max([*annotated.frame, *found.frame], default=0)))
+    frames = frames or _frames(truth, (annotated, found))
     if not len(annotated):
         output.warn([f"{truth}: the truth holds no object"])
     scores = score(annotated, found, frames=frames, iou=iou)
@@ -127,25 +117,42 @@ def evaluate(
     score_table(output, {"": scores})
     document: dict[str, object] = {**scores.as_dict()}
     if t_gospa:
-        parts = tgospa_boxes(annotated, found, frames=scores.frames)
-        values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
-        whole = {
-            key: value / max(scores.frames, 1)
-            for key, value in zip(BY_TRAJECTORY, values, strict=True)
-        }
-        _table(output, {"": whole}, BY_TRAJECTORY)
-        document |= whole
+        document |= trajectory_scores(output, annotated, found, scores.frames)
     if rmse:
         document["RMSE"] = located_errors(output, annotated, found, rmse)
     if asked.errors:
-        if asked.detections is None:
-            detections = None
-        else:
-            detections = read_detections(asked.detections)
+        detections = read_detections(asked.detections) if asked.detections else None
         errors = explain(annotated, found, detections, frames=scores.frames, iou=iou)
         error_tables(output, errors, asked.worst)
         document["errors"] = errors.as_dict(asked.worst)
     output.document(document)
+
+
+def _counted(truth: Truth, asked: EvaluateOptions) -> Truth:
+    """The truth outside of the regions that do not count."""
+    if asked.ignore is None:
+        return truth
+    return ignoring(truth, asked.ignore)
+
+
+def _frames(truth: Path, boxes: Iterable[Truth | Tracks]) -> int:
+    """The number of frames: that of seqinfo.ini, or the last with a box."""
+    last = max(int(one.frame.max(initial=0)) for one in boxes)
+    known = find_seqinfo(truth)
+    return max(last, known.frames if known else 0)
+
+
+def trajectory_scores(
+    output: Output, truth: Truth, tracks: Tracks, frames: int
+) -> dict[str, float]:
+    """T-GOSPA and its parts per frame, in a table and for JSON."""
+    parts = tgospa_boxes(truth, tracks, frames=frames)
+    values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
+    scores = {
+        name: value / max(frames, 1) for name, value in zip(BY_TRAJECTORY, values, strict=True)
+    }
+    _table(output, {"": scores}, BY_TRAJECTORY)
+    return scores
 
 
 def per_class(
@@ -158,28 +165,18 @@ def per_class(
         )
     annotated = read_truth_by_class(truth)
     found, names = read_tracks_named(tracks)
-    if frames:
-        known = None
-    else:
-        known = find_seqinfo(truth)
-    last = max(
-        [found.frame.max(initial=0), *(one.frame.max(initial=0) for one in annotated.values())]
-    )
-    frames = frames or max(int(last), 0 if known is None else known.frames)
+    frames = frames or _frames(truth, (found, *annotated.values()))
     label = np.array([names.get(one, str(one)).lower() for one in found.class_id.tolist()], np.str_)
     words = {one: one for one in label.tolist()} | {
         name.lower(): name for name in (*names.values(), *annotated)
     }
     scores = {}
     for word, name in words.items():
-        given = next((one for key, one in annotated.items() if key.lower() == word), NO_TRUTH)
-        if asked.ignore is None:
-            given = given
-        else:
-            given = ignoring(given, asked.ignore)
-        mine = found.select(label == word)
-        if len(mine) or len(given):
-            scores[name] = score(given, mine, frames=frames, iou=iou)
+        objects = next((one for key, one in annotated.items() if key.lower() == word), NO_TRUTH)
+        objects = _counted(objects, asked)
+        own = found.select(label == word)
+        if len(own) or len(objects):
+            scores[name] = score(objects, own, frames=frames, iou=iou)
     output.say(
         f"{tracks} against {truth}: {frames} frames, each class on its own, match from IoU {iou:g}",
         "",
@@ -189,7 +186,7 @@ def per_class(
 
 
 def score_table(out: Output, runs: Mapping[str, Scores]) -> None:
-    """The scores of each run, by its title, in a column of its own, and what each of them says."""
+    """Print the scores of each run in a column under its title, and the meaning of each score."""
     _table(out, {title: scores.as_dict() for title, scores in runs.items()}, SHOWN.split())
 
 
@@ -204,7 +201,7 @@ def _table(
 
 
 def error_tables(out: Output, errors: Errors, worst: int) -> None:
-    """Misses by cause and place, false boxes by cause, and the ``worst`` objects and tracks."""
+    """Print misses and false boxes by cause, and the ``worst`` objects and tracks."""
     table = errors.misses.sum(axis=0)[: len(errors.causes)]
     rows = [
         [cause, *map(str, row), str(sum(row))]
@@ -247,15 +244,15 @@ def error_tables(out: Output, errors: Errors, worst: int) -> None:
 def _table_of(
     out: Output, title: str, head: Sequence[str], columns: Sequence[I8], chosen: I8
 ) -> None:
-    """The rows ``chosen`` of the columns, where there are any."""
+    """Print the rows ``chosen`` of the columns, if there are any."""
     if len(chosen):
         out.say("", title)
         out.table(head, [[str(column[i]) for column in columns] for i in chosen.tolist()])
 
 
 def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> object:
-    """A table of the errors of the boxes' centres in pixels, object by object without distractors;
-    the same for JSON.
+    """The errors of the boxes' centres in pixels, object by object without distractors, in a table
+    and for JSON.
     """
     kept = ~truth.distractor
     centre, found = ((xyxy[:, :2] + xyxy[:, 2:]).T / 2 for xyxy in (truth.xyxy[kept], tracks.xyxy))

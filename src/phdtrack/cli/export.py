@@ -15,7 +15,7 @@ from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
 from phdtrack.formats import EXPORTS, export_tracks
 from phdtrack.run import directory as rundir
-from phdtrack.run.inputs import frame_size
+from phdtrack.run.requests import frame_size
 
 _TO = f"Format: {', '.join(EXPORTS)}."
 
@@ -43,9 +43,9 @@ def export(
     """Write the tracks of a run, or of a file, in the format of another tool: MOTChallenge, CSV,
     COCO, CVAT, and others.
 
-    phdtrack reads all of these again where a file of tracks, of detections or of truth is given.
+    phdtrack reads all of these as a file of tracks, of detections or of truth.
     """
-    found = rundir.given_tracks(run)
+    found = rundir.read_run_tracks(run)
     width, height = frame_size(size) if size else (found.info.width, found.info.height)
     folder, stem = (run, "tracks") if run.is_dir() else (run.parent, run.stem)
     path = out or folder / f"{stem}_{to}{EXPORTS[to]}"
@@ -53,7 +53,7 @@ def export(
         raise InputError("expected the name of a file, got -", where="--out", cure="Name one.")
     if path.exists() and not overwrite:
         raise InputError(
-            "the file is there already",
+            "the file exists already",
             where=path,
             cure="Say --overwrite, or choose another --out.",
         )

@@ -1,8 +1,8 @@
-"""``phdtrack live``: cameras that never end, with events, rolling files and a page, until a signal
+"""``phdtrack live``: cameras without end, with events, rolling files and a page, until a signal
 ends it.
 
-A signal is how one leaves: the files are completed within two seconds, and the exit status is 0. It
-is 1 where a file could not be completed.
+A signal is the usual end: the files are completed within two seconds, and the exit status is 0. It
+is 1 if a file could not be completed.
 """
 
 from __future__ import annotations
@@ -21,58 +21,41 @@ from typing import Annotated
 
 import typer
 
-from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import signals
-from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, TrackingOptions, option, size
+from phdtrack.cli.options import PageOptions, option, size
 from phdtrack.cli.output import Output, counted
-from phdtrack.cli.show_settings import chosen, scene_settings
-from phdtrack.config import Settings
-from phdtrack.detect.base import Detector, class_names
-from phdtrack.detect.detectors import make_detector, working_width
+from phdtrack.detect.base import class_names
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
+from phdtrack.live.camera_setup import CameraSetup
 from phdtrack.live.checkpoint import EVERY
 from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook, receivers
-from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.engine import Camera, CameraSettings
 from phdtrack.live.events import Watch
-from phdtrack.models import PlaneSensor
 from phdtrack.run import directory as rundir
-from phdtrack.run.inputs import refuse
-from phdtrack.types import SequenceInfo
+from phdtrack.run.choices import scene_settings
+from phdtrack.run.requests import DEFAULT_DETECTOR, TrackingRequest, refuse
 from phdtrack.video.live_sources import LiveSource, check_address, named
 
 Names = Mapping[int, str] | None
 # Seconds that all cameras may take to end; lines that may wait for a slow reader.
 _ENDING = 1.5
 _LINES = 10_000
-# Settings that cannot change while it runs, besides the kind of each part: what was learned or is
-# late depends on them.
-_FIXED = (
-    "detector.",
-    "camera.",
-    "classes.",
-    "associate.output_delay",
-    "filter.acceleration_factors",
-    "filter.samples",
-)
 _PLACES = (
     "Lines and zones, read again when they change; NAME=FILE for one camera. Default: places.toml"
     " in its folder."
 )
-_QUOTA = "Of rows, and of videos, keep so much of each camera, as 20GB; default: all."
-_SAVED = (
-    "Seconds between two times that is saved from which a restart goes on; 0: never, and it begins"
-    " anew."
+_QUOTA = (
+    "Keep at most so much of the rows, and of the videos, of each camera, as 20GB; default: all."
 )
+_SAVED = "Seconds between checkpoints, from which a restart continues; 0: none."
 _SOURCES = "rtsp://…, http://…, a camera's number or a file; NAME=ADDRESS gives it a name."
 
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """What is written, sent and shown. Empty text, 0 and None stand for an option that was not
-    given.
-    """
+    """Options of outputs. Empty text, 0 and None stand for options without a value."""
 
     places: Annotated[list[str] | None, option("FILE", _PLACES)] = None
     webhook: Annotated[
@@ -102,7 +85,7 @@ class LiveOptions:
 
 def live(
     sources: Annotated[list[str], typer.Argument(metavar="SOURCE...", help=_SOURCES)],
-    options: TrackingOptions,
+    options: TrackingRequest,
     write: LiveOptions,
     at: PageOptions,
     output: Output,
@@ -119,20 +102,20 @@ def live(
     """Track cameras without end: events, rows and videos by the hour, and a page with pictures,
     counts and maps.
 
-    Connections that fail are tried again. Changed files of settings and places are read again, and
-    tracks go on. Ctrl-C, SIGTERM and SIGHUP end it with whole files and exit status 0. With --json
-    stdout has a line for each event and for each change of a source's state.
+    Connections that fail are retried. Changed files of settings and places are read again, and
+    tracks go on. Ctrl-C, SIGTERM and SIGHUP end it with complete files and exit status 0. With
+    --json stdout has a line for each event and for each change of a source's state.
     """
     refuse({"--truth": options.truth}, "a camera has no annotated truth", "phdtrack live")
-    make = Maker(options, tuple(scene_settings(scene)), detector, max_width, mask)
-    known = class_names(make.looking(make.settings(), max_width or 0))
+    make = CameraSetup(options, tuple(scene_settings(scene)), detector, max_width, mask)
+    known = class_names(make.new_detector(make.settings(), max_width or 0))
     addresses = named_sources(sources)
     for url in write.webhook or []:
         Webhook(url)
     # Locked as long as it is held.
     directory = rundir.claim(out, False, {})
     server = _Server(at) if page else None
-    # Who reads slowly misses lines, and finds them in the files.
+    # A slow reader misses lines, and finds them in the files.
     lines = queue.Queue[dict[str, object]](_LINES)
 
     def send(event: dict[str, object]) -> None:
@@ -177,59 +160,10 @@ def live(
         raise typer.Exit(1)
 
 
-@dataclass(frozen=True, slots=True)
-class Maker:
-    """Makes detector and stages of a camera by the options; the file of settings is read each
-    time.
-    """
-
-    options: TrackingOptions
-    first: tuple[str, ...]
-    detector: str
-    max_width: int | None
-    mask: Path | None
-
-    def settings(self) -> Settings:
-        """Those of `phdtrack track`; the past is forgotten. Raises `InputError` where they cannot
-        be used.
-        """
-        found = chosen(self.options, self.first, detector=self.detector)
-        return config.for_run(found, endless=True)
-
-    def looking(self, found: Settings, max_width: int) -> Detector:
-        """A detector that has seen nothing yet."""
-        values = found.values("detector")
-        only = self.options.classes
-        # A network knows its classes before there is a picture.
-        values |= {"classes": only} if only and ":" in self.detector else {}
-        return make_detector(self.detector, max_width=max_width, mask=self.mask, **values)
-
-    def __call__(self, info: SequenceInfo) -> Making:
-        """Everything for pictures of this size."""
-        found = self.settings()
-        looking = self.looking(found, working_width(self.detector, self.max_width, info))
-        names = class_names(looking)
-        kinds = config.build_classes(found, info, names, frozenset(names) if names else None)
-        ground = isinstance(kinds.usual.model.sensor, PlaneSensor)
-        parts = [(part, own) for part, own in found.as_dict().items() if part != "preset"]
-        values = {f"{part}.{name}": one for part, own in parts for name, one in own.items()}
-        fixed = {
-            name: one
-            for name, one in values.items()
-            if name.endswith(".kind") or name.startswith(_FIXED)
-        }
-        if ground:
-            groups = config.build_groups(found, kinds.usual)
-        else:
-            groups = None
-        delay = found.build("associate").output_delay
-        return Making(looking, kinds, info, delay, fixed, groups, self.options.seed)
-
-
-def named_sources(given: Sequence[str]) -> dict[str, str]:
-    """Address by name. Raises `InputError` where two have one name, or a file is not there."""
+def named_sources(words: Sequence[str]) -> dict[str, str]:
+    """Addresses by name. Raises `InputError` if two have one name, or a file does not exist."""
     found = dict[str, str]()
-    for word in given:
+    for word in words:
         match = re.fullmatch(r"([A-Za-z0-9][A-Za-z0-9._-]*)=(.+)", word)
         name, address = match.groups() if match else ("", word)
         check_address(address)
@@ -248,7 +182,7 @@ def named_sources(given: Sequence[str]) -> dict[str, str]:
 def _settings(
     name: str, write: LiveOptions, config: Path | None, out: Path, names: Names = None
 ) -> CameraSettings:
-    """What a camera of this name watches and writes."""
+    """The settings of the camera of this name."""
     return CameraSettings(
         folder=out / name,
         places=_places(write.places or [], name, out),
@@ -272,7 +206,7 @@ def _places(given: Sequence[str], name: str, out: Path) -> Path:
 
 
 def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:
-    """Where events of a camera are sent to, by the names of the receivers."""
+    """The receivers of a camera's events, by name."""
     hooks = write.webhook or []
     brokers = [write.mqtt] if write.mqtt else []
     names = receivers([*hooks, *brokers])
@@ -284,8 +218,8 @@ def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:
 
 
 class _Server:
-    """The page, in a thread of its own. Raises `InputError` where a package or the port is
-    missing.
+    """The page, in a thread of its own. Raises `InputError` if a package is missing or the port is
+    taken.
     """
 
     def __init__(self, at: PageOptions) -> None:
@@ -294,7 +228,7 @@ class _Server:
         self._address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key)
 
     def start(self, cameras: Sequence[Camera], output: Output) -> None:
-        """Answer from now on."""
+        """Serve the page from now on."""
         from phdtrack.live.live_page import live_app
         from phdtrack.web.serving import serve
 
@@ -310,7 +244,7 @@ class _Server:
 def _attend(
     cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], output: Output, end: float
 ) -> None:
-    """Say what happens, until the end."""
+    """Print changes of the sources' states until the end."""
     said = dict[str, tuple[str, ...]]()
     while time.monotonic() < end:
         for one in cameras:
@@ -343,7 +277,7 @@ def _attend(
 
 
 def _print(lines: queue.Queue[dict[str, object]], output: Output, wait: float = 0.0) -> None:
-    """All lines that are there; waits for the first."""
+    """Print all lines that are there; waits for the first."""
     with suppress(queue.Empty):
         if wait:
             line = lines.get(timeout=wait)
@@ -355,7 +289,7 @@ def _print(lines: queue.Queue[dict[str, object]], output: Output, wait: float = 
 
 
 def _end(cameras: Sequence[Camera]) -> list[str]:
-    """End all, and the names of those whose files are not complete."""
+    """End all cameras, and give the names of those whose files are not complete."""
     end = time.monotonic() + _ENDING
     for one in cameras:
         one.ask_to_stop()

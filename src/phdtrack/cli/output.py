@@ -1,4 +1,4 @@
-"""What the commands say, and where: results on stdout; progress, warnings and errors on stderr.
+"""The output of commands: results on stdout; progress, warnings and errors on stderr.
 
 With ``--json`` stdout belongs to one JSON object, and every sentence moves to stderr.
 """
@@ -8,45 +8,33 @@ from __future__ import annotations
 import json
 import logging
 import math
-import platform
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import metadata
 from typing import Any
 
-from phdtrack import __version__
+from phdtrack.cli import signals
 from phdtrack.cli.options import Json, Quiet
 from phdtrack.files import json_value
+from phdtrack.run.reporter import Advance
 
-Advance = Callable[..., None]
-"""Takes the number of frames done so far; ``total`` and ``description`` where they are others than
-before.
-"""
 _SHOWN = list[Any]()
-# What is said of work under way, as that kernels are compiled: `Output.quiet` sets its level.
+# Messages about work under way, as the compilation of kernels: `Output.quiet` sets its level.
 _WORK = logging.getLogger("phdtrack.kernels")
-# Of what takes hours: the pace of the last half minute would tell nothing of its end.
+# For hours of work: the pace of the last half minute would not predict its end.
 PACE = 24 * 3600.0
-_PACKAGES = (
-    "numpy",
-    "scipy",
-    "numba",
-    "opencv-python-headless",
-    "av",
-    "typer",
-    "rich",
-    "pydantic",
-    "matplotlib",
-    "pyarrow",
-)
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Where a command's words go; ``json``: stdout is kept for one JSON object; ``quiet``: only
-    warnings are said, and from when this is made also no `progress` is shown."""
+    """The output of a command, which is the `Reporter` of its runs.
+
+    Attributes
+    ----------
+    json : keep stdout for one JSON object.
+    quiet : print only warnings and errors.
+    """
 
     json: Json = False
     quiet: Quiet = False
@@ -55,31 +43,72 @@ class Output:
         _WORK.setLevel(logging.ERROR if self.quiet else logging.NOTSET)
 
     def say(self, *lines: str) -> None:
-        """Lines for the user; an empty one without any."""
+        """Print lines for the user; without any an empty line."""
         if not self.quiet:
             print(*lines, sep="\n", file=sys.stderr if self.json else sys.stdout, flush=True)
 
     def warn(self, sentences: Iterable[str]) -> None:
-        """Sentences about what is not as it should be, but does not stop the job."""
+        """Print what is not as it should be but does not stop the job."""
         for sentence in sentences:
             self.note(f"warning: {sentence}")
 
     def note(self, text: str) -> None:
-        """A sentence about what is going on; on stderr, like progress."""
+        """Print a sentence about the work under way on stderr, like progress."""
         print(f"phdtrack: {text}", file=sys.stderr, flush=True)
 
-    def document(self, value: dict[str, Any]) -> None:
-        """The one JSON object, where it was asked for. What JSON cannot write (NaN, infinities) is
-        null.
+    @property
+    def signal(self) -> str:
+        """The name of the last signal."""
+        return signals.which()
+
+    def stopping(self, sentence: str) -> None:
+        """Print that a signal stopped the run; the next one ends the process at once."""
+        signals.last_chance(sentence)
+
+    @contextmanager
+    def progress(self, title: str, total: int = 0, pace: float = 30.0) -> Iterator[Advance]:
+        """Show a bar on stderr if that is a terminal, unless `quiet`; nothing otherwise.
+
+        Parameters
+        ----------
+        title : of the bar.
+        total : steps; 0 if the end is not known.
+        pace : the end is estimated from the last so many seconds.
+
+        Returns
+        -------
+        The function to call with the number of steps done so far.
         """
+        if self.quiet or not sys.stderr.isatty():
+            yield lambda done, **_: None
+            return
+        if _SHOWN:
+            # One display for the whole: a bar within another one goes below it.
+            bar = _SHOWN[0]
+            task = bar.add_task(title, total=total or None)
+            try:
+                yield lambda done, **more: bar.update(task, completed=done, **more)
+            finally:
+                bar.remove_task(task)
+            return
+        with _bar(pace) as bar:
+            task = bar.add_task(title, total=total or None)
+            _SHOWN.append(bar)
+            try:
+                yield lambda done, **more: bar.update(task, completed=done, **more)
+            finally:
+                _SHOWN.clear()
+
+    def document(self, value: dict[str, Any]) -> None:
+        """Print the one JSON object if `json` is set; NaN and infinities become null."""
         if self.json:
             print(json.dumps(json_value(value), indent=2, allow_nan=False, ensure_ascii=False))
 
     def table(
         self, head: Sequence[str], rows: Sequence[Sequence[str]], *, words: Sequence[int] = (0,)
     ) -> None:
-        """Columns under a head, which is left out where it is blank; ``words`` are the columns
-        aligned left.
+        """Print columns under a head, unless that is blank; ``words`` are the columns aligned
+        left.
         """
         if any(head):
             lines = [head, *rows]
@@ -96,7 +125,7 @@ class Output:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number as people read it: whole ones without decimals, a dash where there is none."""
+    """A number as people read it: whole ones without decimals, a dash for none."""
     if value is None or not math.isfinite(value):
         return "–"
     if isinstance(value, int):
@@ -113,26 +142,8 @@ def counted(count: int, noun: str) -> str:
     return f"{count or 'no'} {noun if count == 1 else many}"
 
 
-@contextmanager
-def progress(title: str, total: int, pace: float = 30.0) -> Iterator[Advance]:
-    """A bar on stderr when that is a terminal, nothing otherwise or if `Output.quiet`; ``total`` 0:
-    the end is not known.
-
-    Gives the function to call with the number of frames done so far. The end is estimated from the
-    last ``pace`` seconds.
-    """
-    if not sys.stderr.isatty() or not _WORK.isEnabledFor(logging.WARNING):
-        yield lambda done, **_: None
-        return
-    if _SHOWN:
-        # One display for the whole: a bar within another one goes below it.
-        bar = _SHOWN[0]
-        task = bar.add_task(title, total=total or None)
-        try:
-            yield lambda done, **more: bar.update(task, completed=done, **more)
-        finally:
-            bar.remove_task(task)
-        return
+def _bar(pace: float) -> Any:
+    """A display of bars."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -148,27 +159,6 @@ def progress(title: str, total: int, pace: float = 30.0) -> Iterator[Advance]:
         MofNCompleteColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(
+    return Progress(
         *columns, console=Console(stderr=True), transient=True, speed_estimate_period=pace
-    ) as bar:
-        task = bar.add_task(title, total=total or None)
-        _SHOWN.append(bar)
-        try:
-            yield lambda done, **more: bar.update(task, completed=done, **more)
-        finally:
-            _SHOWN.clear()
-
-
-def versions() -> tuple[tuple[str, str], ...]:
-    """Pairs of name and version: phdtrack, Python, the system, and the packages that it rests on
-    and that are there.
-    """
-    found = [
-        ("phdtrack", __version__),
-        ("python", platform.python_version()),
-        ("system", platform.platform()),
-    ]
-    for name in _PACKAGES:
-        with suppress(metadata.PackageNotFoundError):
-            found.append((name, metadata.version(name)))
-    return tuple(found)
+    )

@@ -63,7 +63,7 @@ def status() -> int:
 
 
 def which() -> str:
-    """What the signal is called that came last."""
+    """The name of the last signal."""
     if _came:
         return signal.Signals(_came[-1]).name
     return "Ctrl-C"
@@ -147,7 +147,7 @@ def _watch(told: socket.socket, _: socket.socket) -> None:
 
 
 def _place() -> int:
-    """Where the main thread is; the same for all of a compilation."""
+    """The place of the main thread in the program; the same for all of a compilation."""
     top = frame = sys._current_frames().get(threading.main_thread().ident or 0)
     while frame is not None:
         if str(frame.f_globals.get("__name__")).startswith("numba.core."):

@@ -14,16 +14,17 @@ import typer
 
 from phdtrack.cli import options as given
 from phdtrack.cli.evaluate import score_table
-from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
-from phdtrack.cli.output import Output, counted, progress
-from phdtrack.cli.show_settings import chosen
-from phdtrack.cli.track import prepare
+from phdtrack.cli.options import option
+from phdtrack.cli.output import Output, counted
+from phdtrack.cli.track import command_line
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import write_text
 from phdtrack.formats import write_detections, write_truth
 from phdtrack.run import directory as rundir
-from phdtrack.run.inputs import ahead
-from phdtrack.run.video import run
+from phdtrack.run.pipeline_threads import ahead
+from phdtrack.run.preparation import prepare
+from phdtrack.run.reporter import Reporter
+from phdtrack.run.requests import RunRequest, SourceRequest, TrackingRequest
 from phdtrack.simulate import (
     NAMED,
     Look,
@@ -104,7 +105,7 @@ def simulate(
     lines += [f"imWidth={info.width}", f"imHeight={info.height}", ""]
     write_text(target.file(SEQINFO), "\n".join(lines))
     if video:
-        _render_video(scene, seed, target.file(VIDEO), picture)
+        _render_video(scene, seed, target.file(VIDEO), picture, output)
     found = {
         "frames": info.frames,
         "objects": len(np.unique(scene.truth.identity)),
@@ -137,44 +138,39 @@ def demo(
     # No blinking lamps: they stay lit for seconds, and what is seen coherently for seconds is an
     # object to any filter.
     look = Look(flicker=0.05, plants=4, wave=0.06, blown=16.0, lamps=0)
-    _render_video(scene, seed, movie, look)
+    _render_video(scene, seed, movie, look, output)
     output.say(
         f"The scene: {movie}, {scene.info.frames} frames, flickering light, leaves in the wind."
     )
     places = {"with filter": directory, "without": rundir.claim(out / WITHOUT, overwrite)}
-    outcomes = {}
+    results = {}
     for (title, place), filter_name in zip(places.items(), ("pmb", "none"), strict=True):
-        options = TrackingOptions(filter_name, seed=seed, truth=truth)
-        source = SourceOptions(str(movie))
-        job = prepare(
-            source, options, chosen(options, detector=source.observed_by), RunOptions(), video=True
+        request = RunRequest(
+            SourceRequest(str(movie)),
+            TrackingRequest(filter_name, seed=seed, truth=truth),
+            video_size=0,
+            checkpoint_every=0.0,
         )
-        outcome = outcomes[title] = run(job, place)
-        output.warn(outcome.warnings)
-        if outcome.stop is not None:
-            raise outcome.stop
+        result = results[title] = prepare(request, command_line()).run(place, output)
+        output.warn(result.warnings)
+        if result.stop is not None:
+            raise result.stop
     output.say()
-    score_table(
-        output,
-        {
-            title: outcome.scores
-            for title, outcome in outcomes.items()
-            if outcome.scores is not None
-        },
-    )
+    scores = {title: result.scores for title, result in results.items()}
+    score_table(output, {title: one for title, one in scores.items() if one is not None})
     output.say("", f"Look at {directory.file(rundir.VIDEO)} and {directory.file(rundir.REPORT)},")
     output.say(f"and at the same without the filter in {out / WITHOUT}.")
-    with_filter, without_filter = (outcome.document for outcome in outcomes.values())
+    with_filter, without_filter = (result.document for result in results.values())
     output.document({"with_filter": with_filter, "without_filter": without_filter})
 
 
-def _render_video(scene: Scene, seed: int, path: Path, look: Look) -> None:
+def _render_video(scene: Scene, seed: int, path: Path, look: Look, reporter: Reporter) -> None:
     """Write the scene as an mp4 file."""
     info = scene.info
     rng = np.random.default_rng(seed)
     with (
         VideoWriter(path, info.width, info.height, info.fps) as writer,
-        progress("rendering", info.frames) as advance,
+        reporter.progress("rendering", info.frames) as advance,
         ahead(Rendered(scene, rng, look)) as frames,
     ):
         for frame in frames:
@@ -183,9 +179,7 @@ def _render_video(scene: Scene, seed: int, path: Path, look: Look) -> None:
 
 
 def _assigned(texts: Sequence[str], settings: Any, option: str) -> dict[str, Any]:
-    """What assignments as "frames=100" give to those fields of the record ``settings`` that are
-    numbers.
-    """
+    """The values that texts as "frames=100" give to numeric fields of the record ``settings``."""
     kinds = {field.name: type(getattr(settings, field.name)) for field in fields(settings)}
     numeric = {key: kind for key, kind in kinds.items() if kind in (int, float)}
     found = dict[str, Any]()

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 from phdtrack import config
 from phdtrack.compare.case_files import cases_of, detector_settings, is_file
-from phdtrack.compare.plans import Method, Plan, Request
+from phdtrack.compare.plans import Method, Plan, Request, Run
 from phdtrack.config.registry import SECTIONS
 from phdtrack.errors import InputError, did_you_mean
 
@@ -43,7 +43,8 @@ def plan(request: Request) -> Plan:
     )
     for case in cases:
         for method in methods:
-            config.build(method.settings, case.info)
+            settings = Run(case, 0.0, method, 1).settings
+            config.build(settings, case.info, moving=True)
     seeds = tuple(range(1, request.seeds + 1))
     return Plan(cases, methods, tuple(request.clutter), seeds, request.iou)
 

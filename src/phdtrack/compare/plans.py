@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -70,6 +70,12 @@ class Run:
     rate: float
     method: Method
     seed: int
+
+    @property
+    def settings(self) -> Settings:
+        """The method's settings for the boxes of the case, as `phdtrack track` chooses them."""
+        detector = "" if self.case.file else self.case.detections
+        return config.for_run(replace(self.method.settings, detector=detector), endless=False)
 
     @property
     def place(self) -> Path:

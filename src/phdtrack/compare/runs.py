@@ -20,7 +20,7 @@ import os
 import shutil
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
@@ -33,10 +33,7 @@ import numpy as np
 import phdtrack
 from phdtrack import config
 from phdtrack.compare.plans import Case, Plan, Run
-from phdtrack.detect.base import class_names, detect_all
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.detectors import make_detector
-from phdtrack.detect.scene_knowledge import study
 from phdtrack.detect.table_detector import frames_walked
 from phdtrack.errors import InputError
 from phdtrack.files import json_value, write_text
@@ -45,27 +42,33 @@ from phdtrack.metrics import Scores, explain
 from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import pair_frames
 from phdtrack.metrics.scores import scores_of
-from phdtrack.multiclass import ClassPipelines
 from phdtrack.parallel import Failed, outcomes
 from phdtrack.report.pages import write_run
 from phdtrack.report.record import known_mean
+from phdtrack.run.camera_motion import Mover, mover_of
+from phdtrack.run.detection_log import load_detections, save_detections
+from phdtrack.run.inputs import detected_frames, open_inputs
+from phdtrack.run.loop import DetectedFrame, TrackedFrame, table_frames, track_frames
+from phdtrack.run.requests import SourceRequest
 from phdtrack.simulate import add_clutter
-from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth
-from phdtrack.video import open_source
+from phdtrack.tracker import Tracker
+from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
 from phdtrack.video.image_folder import SUFFIXES
 
 Advance = Callable[[int], object]
 RUN = "run.json"
 TRACKS = "tracks.csv"
 DETECTIONS = "detections.csv"
+LOG = "detections.log"
 # Packages on which no result depends, and sections of the settings on which no track depends; the
 # detector's are among what decides the detections.
-_NO_RESULT = ("cli", "label", "report", "groups")
+_NO_RESULT = ("cli", "label", "live", "report", "groups")
+_HOME = Path(phdtrack.__file__).parent
 _NO_TRACK = ("detector", "groups", "contours", "encounters")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RunResult:
+class ComparedRun:
     """The result of a run.
 
     Attributes
@@ -116,19 +119,19 @@ class Comparison:
 
     plan: Plan
     folder: Path
-    results: dict[Path, RunResult | Failed] = field(default_factory=dict)
+    results: dict[Path, ComparedRun | Failed] = field(default_factory=dict)
     reused: int = 0
     outdated: list[str] = field(default_factory=list)
 
-    def result(self, run: Run) -> RunResult | Failed:
-        """Of a run, or of the one that stands for it."""
+    def result(self, run: Run) -> ComparedRun | Failed:
+        """The result of a run, or of the one that stands for it."""
         found = self.results.get(run.place)
         if found is None:
             return self.results[replace(run, seed=self.plan.seeds[0]).place]
         return found
 
     @property
-    def runs(self) -> list[tuple[Run, RunResult | Failed]]:
+    def runs(self) -> list[tuple[Run, ComparedRun | Failed]]:
         """All runs that were needed, in the plan's order."""
         return [
             (run, self.results[run.place]) for run in self.plan.runs if run.place in self.results
@@ -211,7 +214,7 @@ def run(
                     first = found.result(one)
                 if isinstance(look, Failed):
                     found.results[one.place] = look
-                elif not isinstance(first, RunResult) or first.drawn:
+                elif not isinstance(first, ComparedRun) or first.drawn:
                     pieces[one.place] = _tracking(one, plan.iou, folder)
                     continue
                 advance(next(done))
@@ -264,36 +267,34 @@ def read_about(folder: Path) -> dict[str, Any]:
     return {}
 
 
-def _result(outcome: Mapping[str, Any]) -> RunResult:
+def _result(outcome: Mapping[str, Any]) -> ComparedRun:
     """A result as ``run.json`` has it."""
     sums: dict[str, Any] = outcome["counts"] or {}
     arrays: dict[str, Any] = {
         name: np.array(value) for name, value in sums.items() if isinstance(value, list)
     }
-    return RunResult(**{**outcome, "counts": Counts(**(sums | arrays)) if sums else None})
+    return ComparedRun(**{**outcome, "counts": Counts(**(sums | arrays)) if sums else None})
 
 
 def _detect(case: Case, folder: Path) -> dict[str, object]:
-    """A detector's look at a video, written into the folder: detections, numbers and times of the
-    frames.
+    """A detector's detections in a video, written into the folder; numbers and times of the frames
+    are in the log.
     """
-    numbers = list[int]()
-    times = list[float]()
+    request = SourceRequest(case.source, detector=case.detections, max_width=case.max_width)
     began = time.perf_counter()
-    detector = make_detector(case.detections, max_width=case.max_width, **case.parameters)
-    source = open_source(case.source)
-    study(detector, replace(source), source.sample)
-    with DetectionsWriter(folder / DETECTIONS, class_names(detector)) as writer:
-        for frame, found, _ in detect_all(detector, source):
-            writer.append(frame.number, found)
-            numbers.append(frame.number)
-            times.append(frame.time)
-    seconds = (time.perf_counter() - began) / max(len(times), 1)
+    inputs = open_inputs(request, case.parameters)
+    frames = 0
+    with (
+        DetectionsWriter(folder / DETECTIONS, inputs.names) as writer,
+        detected_frames(inputs) as detected,
+    ):
+        for one in save_detections(folder / LOG, detected):
+            writer.append(one.frame.number, one.detections)
+            frames += 1
     return {
-        "seconds_per_frame": seconds,
-        "warning": source.problem,
-        "numbers": numbers,
-        "times": times,
+        "seconds_per_frame": (time.perf_counter() - began) / max(frames, 1),
+        "warning": inputs.source.problem,
+        "names": inputs.names,
     }
 
 
@@ -301,13 +302,11 @@ def _tracking(run: Run, iou: float, folder: Path) -> _Piece:
     """A run, scored."""
     case = run.case
     settings = {
-        name: value
-        for name, value in run.method.settings.as_dict().items()
-        if name not in _NO_TRACK
+        name: value for name, value in run.settings.as_dict().items() if name not in _NO_TRACK
     }
     decided_by = {
         "phdtrack": phdtrack.__version__,
-        "sources": _sources(),
+        "sources": sources_digest(_HOME),
         "sequence": asdict(case.info) | {"name": case.sequence},
         "detections": _decides_detections(case),
         "truth": "" if case.truth is None else _contents(case.truth),
@@ -322,128 +321,175 @@ def _tracking(run: Run, iou: float, folder: Path) -> _Piece:
 
 def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
     """Track, score, and write the tracks into the folder; ``kept`` as in `run_input`."""
-    given = run_input(run, kept)
-    tracks, drawn, seconds, evidence = tracked(run, given)
+    inputs = run_input(run, kept)
+    sequence = tracked(run, inputs)
+    tracks = sequence.tracks
     counts = None
     errors = dict[str, int]()
-    frames = given.info.frames
-    if given.truth is not None:
+    frames = inputs.info.frames
+    if inputs.truth is not None:
         if not frames:
             raise InputError(
                 "no frame was read, and there is nothing to score", where=run.case.name
             )
-        counts = count(pair_frames(given.truth, tracks, frames), iou)
-        errors = explain(given.truth, tracks, given.table, frames=frames, iou=iou).sums()
-    numbers = (frames, len(given.table), len(np.unique(tracks.identity)), len(tracks))
-    result = RunResult(*numbers, drawn, seconds, counts, iou, given.warning, errors, evidence)
-    if result.scores is None:
-        scores = {}
-    else:
-        scores = result.scores.as_dict()
+        counts = count(pair_frames(inputs.truth, tracks, frames), iou)
+        errors = explain(inputs.truth, tracks, inputs.table, frames=frames, iou=iou).sums()
+    result = ComparedRun(
+        frames,
+        len(inputs.table),
+        len(np.unique(tracks.identity)),
+        len(tracks),
+        sequence.drawn,
+        sequence.seconds,
+        counts,
+        iou,
+        inputs.warning,
+        errors,
+        sequence.log_evidence,
+    )
+    scores = result.scores.as_dict() if result.scores else {}
     write_tracks(folder / TRACKS, tracks)
     return {
         "run": str(run),
         "scores": scores,
-        "configuration": run.method.settings.as_dict(),
+        "configuration": run.settings.as_dict(),
         "outcome": result,
     }
 
 
 class RunInput(NamedTuple):
-    """What a run works on: detections with the added clutter, ``numbers`` and ``times`` (F,) of the
-    frames, truth if any.
+    """The inputs of a run.
+
+    Attributes
+    ----------
+    info, frames : the sequence, and its frames with detections and added clutter.
+    table : the same detections as a table.
+    names : what classes are called; None without classes.
+    truth : None if nothing is annotated.
+    warning : what a user should know; may be empty.
     """
 
     info: SequenceInfo
+    frames: Sequence[DetectedFrame]
     table: DetectionTable
-    numbers: I8
-    times: F8
+    names: Mapping[int, str] | None
     truth: Truth | None
     warning: str
 
 
 def run_input(run: Run, kept: Path) -> RunInput:
-    """What the run works on; ``kept`` is the comparison's folder, which has what detectors saw.
+    """The inputs of a run; ``kept`` is the comparison's folder, with the detections of detectors.
 
     The clutter depends on the sequence's name, on the rate and on the seed: it is the same for
     every method, and in the same places for every set of detections.
     """
-    info = run.case.info
     case = run.case
-    warnings = tuple[str, ...]()
+    info = case.info
+    names: Mapping[int, str] | None
     if case.file is None:
-        detected = kept / "detections" / case.place
-        about = read_about(detected)
-        table = read_detections(detected / DETECTIONS)
-        warnings = (str(about["warning"]),)
-        times = np.array(about["times"], np.float64)
-        numbers = np.array(about["numbers"], np.int64)
-        info = replace(info, frames=int(numbers.max(initial=0)))
+        folder = kept / "detections" / case.place
+        about = read_about(folder)
+        frames = list(load_detections(folder / LOG))
+        warnings: tuple[str, ...] = (str(about["warning"]),)
+        names = about["names"] and {int(code): name for code, name in about["names"].items()}
+        last = max((one.frame.number for one in frames), default=0)
+        info = replace(info, frames=last)
+        table = _table(frames)
     else:
         table, warnings = within_frame(read_detections(case.file), info, case.file)
-    if case.truth is None:
-        truth = None
-    else:
-        truth = read_truth(case.truth)
+        names = table.names
+        numbers = frames_walked(table, info.frames, info.fps)
+        frames = list(table_frames(table, numbers, info.fps))
+    truth = read_truth(case.truth) if case.truth else None
     if run.rate:
-        if truth is None:
-            sizes = np.zeros((0, 2))
-        else:
-            sizes = truth.xyxy[:, 2:] - truth.xyxy[:, :2]
-        name = zlib.crc32(case.sequence.encode("utf-8", "surrogateescape"))
-        table = add_clutter(
-            table,
-            info,
-            run.rate,
-            np.random.default_rng([run.seed, round(1e6 * run.rate), name]),
-            sizes,
-        )
-    if case.file is not None:
-        numbers = np.fromiter(frames_walked(table, info.frames, info.fps), np.int64)
-        times = (numbers - 1) / info.fps
-    return RunInput(info, table, numbers, times, truth, "; ".join(filter(None, warnings)))
+        table = _with_clutter(run, info, table, truth)
+        frames = [one._replace(detections=table.at(one.frame.number)) for one in frames]
+    return RunInput(info, frames, table, names, truth, "; ".join(filter(None, warnings)))
 
 
-def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float, float | None]:
-    """Corrected tracks, whether anything was drawn at random, the median of the seconds per frame,
-    mean log evidence.
-    """
-    if run.case.file is None:
-        detector = run.case.detections
-    else:
-        detector = ""
-    settings = config.for_run(replace(run.method.settings, detector=detector), endless=False)
-    table = given.table
-    kinds = config.build_classes(
-        settings, given.info, table.names, np.unique(table.detections.class_id).tolist()
+def _table(frames: Sequence[DetectedFrame]) -> DetectionTable:
+    """The detections of all frames."""
+    detections = [one.detections for one in frames]
+    number = np.repeat([one.frame.number for one in frames], [len(one) for one in detections])
+    joined = Detections.of(
+        np.concatenate([np.zeros((0, 4)), *(one.xyxy for one in detections)]),
+        np.concatenate([np.zeros(0), *(one.confidence for one in detections)]),
+        np.concatenate([np.zeros(0), *(one.class_id for one in detections)]),
     )
-    tracker = ClassPipelines(kinds, run.seed)
-    seconds = list[float]()
-    evidence = list[float]()
-    for number, moment in zip(given.numbers.tolist(), given.times.tolist(), strict=True):
-        found = table.at(number)
-        step = tracker.advance(found.select(kinds.wanted(found)), number, moment)
-        seconds.append(sum(step.seconds))
-        evidence.append(step.info.log_evidence)
-    mean = known_mean(np.array(evidence))
-    tracks = tracker.finish()
-    return (
-        tracks,
+    return DetectionTable(number.astype(np.int64), joined)
+
+
+def _with_clutter(
+    run: Run, info: SequenceInfo, table: DetectionTable, truth: Truth | None
+) -> DetectionTable:
+    """The detections with false alarms of the truth's sizes added."""
+    sizes = np.zeros((0, 2))
+    if truth is not None:
+        sizes = truth.xyxy[:, 2:] - truth.xyxy[:, :2]
+    name = zlib.crc32(run.case.sequence.encode("utf-8", "surrogateescape"))
+    rng = np.random.default_rng([run.seed, round(1e6 * run.rate), name])
+    return add_clutter(table, info, run.rate, rng, sizes)
+
+
+class TrackedSequence(NamedTuple):
+    """The corrected tracks of a run, whether anything was drawn at random, the median of the
+    seconds per frame, and the mean log evidence.
+    """
+
+    tracks: Tracks
+    drawn: bool
+    seconds: float
+    log_evidence: float | None
+
+
+class _Figures:
+    """Keeps the time and the evidence of each frame."""
+
+    def __init__(self) -> None:
+        self.seconds = list[float]()
+        self.evidence = list[float]()
+
+    def take(self, tracked: TrackedFrame) -> None:
+        """Keep those of a frame."""
+        self.seconds.append(sum(tracked.step.seconds))
+        self.evidence.append(tracked.step.info.log_evidence)
+
+
+def tracked(run: Run, inputs: RunInput) -> TrackedSequence:
+    """Track as `phdtrack track` does with the same detections and settings."""
+    settings = run.settings
+    labels = np.unique(inputs.table.detections.class_id).tolist()
+    classes = config.build_classes(settings, inputs.info, inputs.names, labels, moving=True)
+    tracker = Tracker(stages=classes, fps=inputs.info.fps, seed=run.seed)
+    mover = mover_of(settings, classes.usual.model, pictures=False)
+    figures = _Figures()
+    track_frames(tracker, _moved(inputs.frames, mover), (figures,))
+    mean = known_mean(np.array(figures.evidence))
+    return TrackedSequence(
+        tracker.tracks(),
         tracker.drawn,
-        float(np.median(seconds)) if seconds else 0.0,
+        float(np.median(figures.seconds)) if figures.seconds else 0.0,
         mean if math.isfinite(mean) else None,
     )
 
 
+def _moved(frames: Iterable[DetectedFrame], mover: Mover | None) -> Iterator[DetectedFrame]:
+    """The frames with the camera's motion."""
+    for one in frames:
+        if mover is not None:
+            one = one._replace(warp=mover(one.frame, one.detections, one.pose))
+        yield one
+
+
 def _decides_detections(case: Case) -> dict[str, object]:
-    """What decides the detections of a case."""
+    """Everything that decides the detections of a case."""
     if case.file is not None:
         return {"file": _contents(case.file)}
     network = case.detections.partition(":")[2]
     return {
         **({"network": _contents(Path(network))} if network else {}),
         "phdtrack": phdtrack.__version__,
-        "sources": _sources(),
+        "sources": sources_digest(_HOME),
         "video": _contents(Path(case.source)),
         "detector": case.detections,
         "parameters": dict(case.parameters),
@@ -452,9 +498,8 @@ def _decides_detections(case: Case) -> dict[str, object]:
 
 
 @lru_cache(maxsize=1)
-def _sources() -> str:
-    """The digest of phdtrack's sources on which results depend."""
-    home = Path(phdtrack.__file__).parent
+def sources_digest(home: Path) -> str:
+    """The digest of phdtrack's sources in a folder, as far as results depend on them."""
     return _digest(
         file
         for file in sorted(home.rglob("*.py"))

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from phdtrack.compare.plans import Case, Run
-from phdtrack.compare.runs import Comparison, RunResult
+from phdtrack.compare.runs import ComparedRun, Comparison
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.metrics import Scores, pool
 from phdtrack.metrics.causes import SUMS
@@ -156,7 +156,7 @@ def _rows(
     for rate in plan.rates:
         first: Row | None = None
         for method in plan.methods:
-            results = list[list[RunResult]]()
+            results = list[list[ComparedRun]]()
             failed = ""
             for seed in plan.seeds:
                 results.append([])
@@ -214,7 +214,7 @@ def check_scores(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(known[name.lower()] for name in names)
 
 
-def values_of(parts: Sequence[RunResult]) -> dict[str, float]:
+def values_of(parts: Sequence[ComparedRun]) -> dict[str, float]:
     """The scores of one run, or pooled over several; undefined ones are left out."""
     out = dict[str, float]()
     frames = sum(part.frames for part in parts)

@@ -24,6 +24,7 @@ from phdtrack.label.samples import Marks, shuffled
 from phdtrack.label.suggestions import TICKED, Evidence, suggest
 from phdtrack.models.clutter import BoxClutter
 from phdtrack.models.scene import FalseAlarmRatio, SceneClutter, in_one_volume
+from phdtrack.multiclass import ClassSettings
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import counted
 from phdtrack.scene import LearnedDensity, Scene, TrackedObjects
@@ -79,7 +80,7 @@ class SceneTraining:
     source : name of the video or of the file of detections.
     info, table : the sequence and its detections.
     stretch : the frames to learn from.
-    stages, seed : how to track.
+    classes, seed : the stages of each class, and the seed.
     marks, labels : a person's marks, None if there are none, and their file.
     advance : called with the number of frames tracked.
     """
@@ -88,7 +89,7 @@ class SceneTraining:
     info: SequenceInfo
     table: DetectionTable
     stretch: range
-    stages: AnyStages
+    classes: ClassSettings
     seed: int
     marks: Marks | None
     labels: Path
@@ -280,6 +281,11 @@ class SceneTraining:
         return learn_births(states, marks.time_watched(rate), self._size), text
 
     @property
+    def stages(self) -> AnyStages:
+        """The stages of classes without stages of their own."""
+        return self.classes.usual
+
+    @property
     def _size(self) -> tuple[float, float]:
         """Width and height of a frame in pixels."""
         return float(self.info.width), float(self.info.height)
@@ -292,22 +298,28 @@ class SceneTraining:
         return self.marks
 
     def _tracked(self, alarms: LearnedDensity | None = None) -> Evidence:
-        """The result on the stretch of a tracker that knows these false alarms."""
-        model = self.stages.model
-        stages = self.stages
+        """The evidence of a tracker that knows these false alarms."""
+        classes = self.classes
         if alarms is not None:
-            if isinstance(model.clutter, BoxClutter):
-                own = model.clutter.clutter_per_detection
-            else:
-                own = 0.0
-            birth, clutter = in_one_volume(
-                model.birth, SceneClutter(alarms.rate, alarms.density, own)
-            )
-            stages = replace(stages, model=replace(model, birth=birth, clutter=clutter))
-        return Evidence.of(self.table, self.info.fps, self.stretch, stages, self.seed, self.advance)
+            own = {code: _with_alarms(stages, alarms) for code, stages in classes.own.items()}
+            classes = replace(classes, usual=_with_alarms(self.stages, alarms), own=own)
+        return Evidence.of(
+            self.table, self.info.fps, self.stretch, classes, self.seed, self.advance
+        )
 
     def _with_prior(self, learned: LearnedDensity) -> LearnedDensity:
         """The learned density, mixed with a little of all sizes detected in the stretch."""
         table = self.table
         rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
         return with_prior(learned, to_cxcywh(table.detections.xyxy[rows])[2:])
+
+
+def _with_alarms(stages: AnyStages, alarms: LearnedDensity) -> AnyStages:
+    """The stages with a model of these false alarms."""
+    model = stages.model
+    own = 0.0
+    if isinstance(model.clutter, BoxClutter):
+        own = model.clutter.clutter_per_detection
+    learned = SceneClutter(alarms.rate, alarms.density, own)
+    birth, clutter = in_one_volume(model.birth, learned)
+    return replace(stages, model=replace(model, birth=birth, clutter=clutter))

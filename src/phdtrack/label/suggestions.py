@@ -31,10 +31,12 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from phdtrack import pipeline
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.detect.table_detector import frames_walked
+from phdtrack.multiclass import ClassSettings
 from phdtrack.protocols import AnyStages
+from phdtrack.run.loop import TrackedFrame, table_frames, track_frames
+from phdtrack.tracker import Tracker
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
 Reason = Literal["place", "rejected", "short"]
@@ -84,13 +86,14 @@ class Evidence:
         table: DetectionTable,
         fps: float,
         frames: range,
-        stages: AnyStages,
+        stages: AnyStages | ClassSettings,
         seed: int = 0,
         advance: Callable[[int], object] = id,
     ) -> Evidence:
         """The result of a tracker on the detections of some frames.
 
-        A filter that does not report false alarms (`filters.none`) leaves all probabilities at 0.
+        A filter that does not report false alarms (`filters.none`) leaves all probabilities at 0,
+        and so do the limits of a frame's detections.
 
         Parameters
         ----------
@@ -100,21 +103,30 @@ class Evidence:
         advance : called with the number of frames done.
         """
         rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
-        rng = np.random.default_rng(seed)
-        clutter = []
-        walked = (
-            number
-            for number in frames_walked(table, frames.stop - 1, fps)
-            if number >= frames.start
-        )
-        inputs = ((number, (number - 1) / fps, table.at(number)) for number in walked)
-        for after, step in pipeline.run(stages, inputs, rng):
-            state = after
-            found = step.info.clutter_probability
-            clutter.append(found if len(found) else np.zeros(len(step.detections)))
-            advance(len(clutter))
         stretch = DetectionTable(table.frame[rows], table.detections.select(rows))
-        return cls(stretch, fps, frames, np.concatenate(clutter), pipeline.finish(stages, state))
+        tracker = Tracker(stages=stages, fps=fps, seed=seed)
+        clutter = _ClutterProbabilities(advance)
+        numbers = frames_walked(table, frames.stop - 1, fps)
+        inside = (number for number in numbers if number >= frames.start)
+        track_frames(tracker, table_frames(table, inside, fps), (clutter,))
+        return cls(stretch, fps, frames, np.concatenate(clutter.values), tracker.tracks())
+
+
+class _ClutterProbabilities:
+    """Keeps the probability that each detection is a false alarm."""
+
+    def __init__(self, advance: Callable[[int], object]) -> None:
+        self.values = list[F8]()
+        self._advance = advance
+
+    def take(self, tracked: TrackedFrame) -> None:
+        """Keep those of a frame."""
+        step = tracked.step
+        probability = np.zeros(len(tracked.detected.detections))
+        if len(step.info.clutter_probability):
+            probability[tracked.kept] = step.info.clutter_probability
+        self.values.append(probability)
+        self._advance(len(self.values))
 
 
 class Suggestion(NamedTuple):

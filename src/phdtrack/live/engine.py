@@ -1,5 +1,5 @@
-"""A camera at work: its source, detector, tracker and watch, in a thread of its own, and what is
-known of it right now.
+"""A camera at work: its source, detector, tracker and watch, in a thread of its own, and its
+current state.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from phdtrack.live.zones import read_places
 from phdtrack.multiclass import ClassSettings
 from phdtrack.report import Annotator
 from phdtrack.report.drawing import feet
+from phdtrack.run.camera_motion import Mover
+from phdtrack.run.loop import NO_PICTURE, FrameObserver, detect_frames, track_frame
 from phdtrack.tracker import Tracker
 from phdtrack.types import (
     Detections,
@@ -61,42 +63,44 @@ _AGAIN = 1.0
 _SETTLED = 0.5
 
 
-class Making(NamedTuple):
-    """What is made once the size of the pictures is known.
+class CameraParts(NamedTuple):
+    """The parts of a camera, made once the size of its pictures is known.
 
     Attributes
     ----------
-    delay : frames by which online rows come late.
+    detector, classes, info : the detector, the stages of each class, and the sequence.
+    delay : frames by which online rows lag.
     fixed : settings, by name, that cannot change while it runs.
-    groups : None where people are not followed on the ground.
+    groups : None if people are not tracked on the ground.
     seed : of everything random.
+    mover : the camera's motion; None for a camera that stands still.
     """
 
     detector: Detector
-    kinds: ClassSettings
+    classes: ClassSettings
     info: SequenceInfo
     delay: int = 0
     fixed: Mapping[str, object] = {}
     groups: GroupStages | None = None
     seed: int = 0
+    mover: Mover | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """What a camera watches and writes.
+    """The settings of a camera.
 
     Attributes
     ----------
     folder : of its files.
     places, config : files of lines and zones, and of settings, read again when they change; None
         for none.
-    watch : without places.
+    watch : everything that is watched except the places.
     video : pictures a second of the annotated video; 0 for none.
     quota : bytes of rows, and of videos, that are kept; 0: all.
     parquet : hours of rows become Parquet.
-    blur : what is made unrecognisable in every picture: ``boxes``, ``faces`` or nothing.
-    checkpoint : seconds between two times that all is saved from which a restart goes on; 0 for
-        never.
+    blur : ``boxes`` or ``faces`` to pixelate them in every picture; empty for nothing.
+    checkpoint : seconds between checkpoints, from which a restart continues; 0 for none.
     """
 
     folder: Path
@@ -110,12 +114,54 @@ class CameraSettings:
     checkpoint: float = 0.0
 
 
-class _Held(NamedTuple):
-    """A frame whose rows are not known yet."""
+class _HeldFrame(NamedTuple):
+    """A frame whose rows are not final yet."""
 
     frame: LiveFrame
     step: Step
     mixture: GaussianMixture | None
+
+
+def _video_log(settings: CameraSettings) -> VideoLog | None:
+    """The annotated videos of a camera; None without."""
+    if not settings.video:
+        return None
+    return VideoLog(settings.folder / "video", settings.video, settings.quota)
+
+
+class _WatchedFile:
+    """A file that is read again when it has changed.
+
+    ``use`` is called with its path, and whether it is the first time.
+    """
+
+    def __init__(self, path: Path | None, use: Callable[[Path, bool], None]) -> None:
+        self._path = path
+        self._use = use
+        # Time and size of the file when it was read, and of a change and since when it is there.
+        self._read: tuple[int, int] | None = None
+        self._change: tuple[int, int] | None = None
+        self._since = 0.0
+
+    def read_if_changed(self, now: float) -> bool:
+        """Read the file if it has changed and stayed so for a while; whether it was read. Raises
+        whatever ``use`` raises.
+        """
+        if self._path is None:
+            return False
+        # The size too: times of files are coarse.
+        state = (self._path.stat().st_mtime_ns, self._path.stat().st_size)
+        if state == self._read:
+            return False
+        if state != self._change:
+            self._change = state
+            self._since = now
+        first = self._read is None
+        if not first and now < self._since + _SETTLED:
+            return False
+        self._read = state
+        self._use(self._path, first)
+        return True
 
 
 class Camera:
@@ -125,50 +171,52 @@ class Camera:
     ----------
     name : for files, events and the page.
     source : is started by `start`.
-    make : what makes detector and stages for pictures of a size; asked again when the file of
-        settings has changed.
+    make : makes the parts for pictures of a size; called again when the file of settings has
+        changed.
     settings : what is watched and written.
     send : called with each new event, in the camera's thread.
+    observers : take in every frame behind the tracker, in the camera's thread.
     """
 
     def __init__(
         self,
         name: str,
         source: LiveSource,
-        make: Callable[[SequenceInfo], Making],
+        make: Callable[[SequenceInfo], CameraParts],
         settings: CameraSettings,
         send: Callable[[dict[str, object]], None] = lambda event: None,
+        observers: Sequence[FrameObserver] = (),
     ) -> None:
         self.name = name
         self.source = source
         self.settings = settings
         self._make = make
         self._send = send
-        self._made: Making | None = None
+        self._observers = observers
+        self._parts: CameraParts | None = None
         self._tracker: Tracker | None = None
         self._groups: OnlineGroups | None = None
         self.log = EventLog(settings.folder)
         self._rows = RowsLog(settings.folder / "tracks", settings.quota, parquet=settings.parquet)
-        self._video: VideoLog | None = None
-        if settings.video:
-            self._video = VideoLog(settings.folder / "video", settings.video, settings.quota)
+        self._video = _video_log(settings)
         self.watched: tuple[Watch, WatchState] = (settings.watch, settings.watch.start())
         """The settings of what is watched, and its state: who is there, and the counts."""
-        # What went wrong, by what it concerns; when each file was changed that was read.
+        # What went wrong, by what it concerns.
         self._problems = dict[str, str]()
-        self._seen = dict[str, tuple[int, int]]()
-        # Time and size of a file that is to be read again, and since when they are so; from when on
-        # events are tried again that could not be written.
-        self._changing = dict[str, tuple[tuple[int, int], float]]()
+        self._files_read = {
+            "places": _WatchedFile(settings.places, self._places),
+            "settings": _WatchedFile(settings.config, self._settings),
+        }
+        # Time from which on events that could not be written are written again.
         self._patient = 0.0
         self._stopped = threading.Event()
         self._files = threading.Lock()
         self._open = True
-        self._held = deque[_Held]()
+        self._held = deque[_HeldFrame]()
         self._unwritten = deque[dict[str, object]](maxlen=_UNWRITTEN)
         self._latency = deque[float](maxlen=_LATENCIES)
         self._begun = 0.0
-        # Of the next checkpoint the time, and what writes the last one; what lies between the
+        # Time of the next checkpoint, and the thread that writes the last one; differences of the
         # source's numbers and times and those of tracks, which go on after a restart; number, time
         # and time of day of the last frame; the last one with rows.
         self._due = 0.0
@@ -191,20 +239,20 @@ class Camera:
         self._thread = threading.Thread(target=self._run, name=f"phdtrack {name}", daemon=True)
 
     def start(self, couriers: Sequence[Courier] = ()) -> None:
-        """Begin; ``couriers`` are told of new events."""
+        """Begin; ``couriers`` are woken for new events."""
         self._couriers = couriers
         self._reload()
         self.source.start()
         self._thread.start()
 
     def ask_to_stop(self) -> None:
-        """Say that it is to end; `stop` waits for it."""
+        """Ask it to end; `stop` waits for it."""
         self._stopped.set()
         self.source.stop()
 
     def stop(self, patience: float = 1.0) -> bool:
-        """End, and whether all files are complete. What hangs longer than ``patience`` seconds is
-        left behind.
+        """End it; whether all files are complete. A thread that hangs longer than ``patience``
+        seconds is left behind.
         """
         self.ask_to_stop()
         end = time.monotonic() + patience
@@ -226,9 +274,7 @@ class Camera:
             self._files.release()
 
     def _tried(self, step: Callable[[], None]) -> bool:
-        """Whether it was done: the other files, and the other cameras, are still to be
-        completed.
-        """
+        """Do it; whether it succeeded. The other files, and cameras, are still to be completed."""
         try:
             step()
         except Exception as error:
@@ -237,7 +283,7 @@ class Camera:
         return True
 
     def _flush(self) -> None:
-        """The rows of the frames that are held."""
+        """Write the rows of the frames that are held."""
         if self._open and self._tracker is not None and not self._thread.is_alive():
             rows = self._tracker.flush()
             while self._held:
@@ -245,7 +291,7 @@ class Camera:
                 self._finish(held, rows.select(rows.frame == held.frame.number))
 
     def _save_end(self) -> None:
-        """The last checkpoint."""
+        """Save the last checkpoint."""
         whole = self._open and not self._thread.is_alive() and not self._unwritten
         if self.settings.checkpoint and self._last[0] and whole:
             if self._saving.ident is not None:
@@ -254,17 +300,17 @@ class Camera:
 
     @property
     def alive(self) -> bool:
-        """Whether its thread works."""
+        """True while its thread works."""
         return self._thread.is_alive()
 
     @property
     def working(self) -> bool:
-        """Whether its last picture was worked on without an error, if there was one."""
+        """True if its last picture was processed without an error, if there was one."""
         return self.alive and "frame" not in self._problems
 
     @property
     def problems(self) -> list[str]:
-        """What is not as it should be, in sentences without secrets."""
+        """Everything that is not as it should be, in sentences without secrets."""
         waiting = [
             f"events wait to be sent: {one.problem}" for one in self._couriers if one.problem
         ]
@@ -282,7 +328,7 @@ class Camera:
         return self._tracker.left_out
 
     def latency(self) -> tuple[float, float]:
-        """Median and 99 % of the seconds from a picture's arrival to its events on disk; NaN where
+        """Median and 99 % of the seconds from a picture's arrival to its events on disk; NaN if
         there was none.
         """
         held = list(self._latency)
@@ -291,8 +337,8 @@ class Camera:
         return (np.nan, np.nan)
 
     def picture(self, after: int = 0, patience: float = 0.0) -> tuple[int, Image | None]:
-        """The newest drawn picture and the number of its frame; one behind ``after`` where it comes
-        in ``patience`` seconds.
+        """The newest drawn picture and the number of its frame; one after ``after`` if it is drawn
+        within ``patience`` seconds.
 
         Pictures are drawn while somebody asks for them.
         """
@@ -315,35 +361,19 @@ class Camera:
                 self._stopped.wait(_REST)
 
     def _reload(self) -> None:
-        """Read places and settings again where their files have changed; tracks and counts go on.
+        """Read places and settings again if their files have changed; tracks and counts go on.
 
-        What cannot be used changes nothing, and is said.
+        A file that cannot be used changes nothing, and is reported.
         """
-        for what, path, use in (
-            ("places", self.settings.places, self._places),
-            ("settings", self.settings.config, self._settings),
-        ):
+        for name, file in self._files_read.items():
             try:
-                if path is None:
-                    continue
-                # The size too: times of files are coarse.
-                changed = (path.stat().st_mtime_ns, path.stat().st_size)
-                if changed == self._seen.get(what):
-                    continue
-                first = what not in self._seen
-                now = time.monotonic()
-                if self._changing.get(what, ((), 0.0))[0] != changed:
-                    self._changing[what] = changed, now
-                if not first and now < self._changing[what][1] + _SETTLED:
-                    continue
-                self._seen[what] = changed
-                use(path, first)
-                self._problems.pop(what, None)
+                if file.read_if_changed(time.monotonic()):
+                    self._problems.pop(name, None)
             except FileNotFoundError:
                 continue
             except Exception as error:
-                self._problems[what] = (
-                    f"the {what} stay as they were: {str(error) or type(error).__name__}"
+                self._problems[name] = (
+                    f"the {name} stay as they were: {str(error) or type(error).__name__}"
                 )
 
     def _places(self, path: Path, first: bool) -> None:
@@ -352,78 +382,80 @@ class Camera:
         self.watched = (watch, watch.carried(state, before))
 
     def _settings(self, path: Path, first: bool) -> None:
-        """Go on with the tracks and other settings. Raises `InputError` for those that cannot
+        """Continue the tracks with other settings. Raises `InputError` for those that cannot
         change.
         """
-        old = self._made
+        old = self._parts
         tracker = self._tracker
         if first or old is None or tracker is None:
             return
-        made = self._make(old.info)
+        parts = self._make(old.info)
         names = [
             name
-            for name in sorted({*old.fixed, *made.fixed})
-            if old.fixed.get(name) != made.fixed.get(name)
+            for name in sorted({*old.fixed, *parts.fixed})
+            if old.fixed.get(name) != parts.fixed.get(name)
         ]
         if names:
             problem = f"{', '.join(names)} cannot change while it runs"
             raise InputError(problem, where=path, cure="End it and start it again.")
-        going_on = Tracker(stages=made.kinds, fps=made.info.fps, seed=made.seed)
+        going_on = Tracker(stages=parts.classes, fps=parts.info.fps, seed=parts.seed)
         going_on.warm_up()
         going_on.load_state_dict(tracker.state_dict(), same_settings=False)
         self._tracker = going_on
-        self._made = made._replace(detector=old.detector)
+        # Detector and motion go on with what they know of the last picture.
+        self._parts = parts._replace(detector=old.detector, mover=old.mover)
 
-    def _prepare(self, frame: LiveFrame, fps: float) -> tuple[Making, Tracker]:
-        """What is made for the size of the first picture, and a tracker."""
+    def _prepare(self, frame: LiveFrame, fps: float) -> tuple[CameraParts, Tracker]:
+        """The parts for the size of the first picture, and a tracker."""
         height, width = frame.image.shape[:2]
-        made = self._make(SequenceInfo(width, height, round(max(fps, 1.0), 1), 0, self.name))
-        tracker = Tracker(stages=made.kinds, fps=made.info.fps, seed=made.seed)
+        parts = self._make(SequenceInfo(width, height, round(max(fps, 1.0), 1), 0, self.name))
+        tracker = Tracker(stages=parts.classes, fps=parts.info.fps, seed=parts.seed)
         names = self.watched[0].names
         tracker.warm_up()
         first = self.log.highest("group") + 1
-        if made.groups is None:
-            self._groups = None
-        else:
-            self._groups = OnlineGroups(made.groups, made.kinds.usual, first)
-        self._annotate = Annotator(made.info, names=names or None, blur=self.settings.blur)
+        self._groups = None
+        if parts.groups is not None:
+            self._groups = OnlineGroups(parts.groups, parts.classes.usual, first)
+        self._annotate = Annotator(parts.info, names=names or None, blur=self.settings.blur)
         self.maps = Maps.of(width, height)
-        return made, tracker
+        return parts, tracker
 
     def _take(self, frame: LiveFrame) -> None:
-        """One picture through detector, tracker and watch, into all files."""
-        if self._made is None or self._tracker is None:
+        """Send a picture through detector, tracker and watch, into all files."""
+        if self._parts is None or self._tracker is None:
             status = self.source.status()
             self._begun = self._begun or time.monotonic()
             if status.frames < _MEASURED and time.monotonic() - self._begun < _MEASURING:
                 return
             try:
-                self._made, self._tracker = self._prepare(frame, status.fps)
-                self._go_on(frame)
+                self._parts, self._tracker = self._prepare(frame, status.fps)
+                self._resume(frame)
             except Exception:
                 # The next picture begins anew: a half of it would be saved as all there is.
-                self._made = self._tracker = None
+                self._parts = self._tracker = None
                 raise
         frame = frame._replace(
             number=frame.number + self._ahead[0], time=frame.time + self._ahead[1]
         )
-        found = self._made.detector(Frame(frame.number, frame.time, frame.image))
-        rows = self._tracker.update(found, frame.number, frame.time)
-        step = self._tracker.step
-        assert step is not None
-        if self._groups is None:
-            mixture = None
-        else:
-            mixture = self._groups.mixture(self._tracker.state.intensity, step)
-        self._held.append(_Held(frame, step, mixture))
+        picture = Frame(frame.number, frame.time, frame.image)
+        parts = self._parts
+        for detected in detect_frames(parts.detector, (picture,), parts.mover):
+            tracked = track_frame(self._tracker, detected)
+            for observer in self._observers:
+                observer.take(tracked)
+        step = tracked.step
+        mixture = None
+        if self._groups is not None:
+            mixture = self._groups.mixture(tracked.state.intensity, step)
+        self._held.append(_HeldFrame(frame, step, mixture))
         self.frames = self.frames + 1
         self._last = (frame.number, frame.time, frame.wall)
-        if len(self._held) > self._made.delay:
+        if len(self._held) > self._parts.delay:
             held = self._held.popleft()
             with self._files:
                 # When it was stopped while it hung, its files are complete already.
                 if self._open:
-                    self._finish(held, rows)
+                    self._finish(held, tracked.rows)
         # A checkpoint with events that are not written would lose them.
         due = self.settings.checkpoint and time.monotonic() >= self._due and not self._unwritten
         if due and not self._saving.is_alive():
@@ -436,12 +468,12 @@ class Camera:
             self._saving.start()
 
     def _saver(self, *, ended: bool) -> Callable[[], None]:
-        """What writes all that is known now, later and in any thread."""
-        made = self._made
+        """A function that writes a checkpoint of the current state, later and in any thread."""
+        parts = self._parts
         tracker = self._tracker
         maps = self.maps
         watch, state = self.watched
-        assert made is not None
+        assert parts is not None
         assert tracker is not None
         assert maps is not None
         held = tuple(
@@ -451,7 +483,7 @@ class Camera:
         minutes = np.array(self.minutes).reshape(-1, 4)
         seen = SavedCamera(*self._last, watch.places, state, held, *pictures, minutes)
         what = (
-            key_of(made.fixed, made.info.width, made.info.height),
+            key_of(parts.fixed, parts.info.width, parts.info.height),
             tracker.snapshot(),
             seen,
             tracker.highest,
@@ -466,46 +498,28 @@ class Camera:
 
         return write
 
-    def _go_on(self, frame: LiveFrame) -> None:
-        """Take up what the run before has saved. What cannot be used is said; its identities are
-        not given again.
+    def _resume(self, frame: LiveFrame) -> None:
+        """Continue from the checkpoint of an earlier run. If it cannot be used that is reported,
+        and its identities are not used again.
         """
-        made = self._made
+        parts = self._parts
         tracker = self._tracker
-        maps = self.maps
-        watch, _ = self.watched
-        assert made is not None
+        assert parts is not None
         assert tracker is not None
-        assert maps is not None
         if not self.settings.checkpoint:
             return
         highest = self.log.highest() + LOST
+        key = key_of(parts.fixed, parts.info.width, parts.info.height)
         try:
-            found = load(
-                self.settings.folder, key_of(made.fixed, made.info.width, made.info.height)
-            )
-            if found is None:
+            saved = load(self.settings.folder, key)
+            if saved is None:
                 self.log.forget_watched()
                 tracker.skip_identities(highest if highest > LOST else 0)
                 return
-            highest, ended, packed, seen = max(found[0], highest), *found[1:]
-            if isinstance(seen, InputError):
-                raise seen
-            if seen.people.shape != maps.people.shape:
-                raise InputError("its maps are of another picture")
-            # What came after the checkpoint, where it was killed: up to the last event, and up to
-            # the last row.
-            number, content = self.log.watched() or (0, b"")
-            later = number >= (seen.held[0].number if seen.held else seen.number + 1)
-            if later:
-                known = SavedWatch.read(content, self.settings.folder)
-            else:
-                known = SavedWatch(seen.places, seen.watch)
-            last = max(number, self._rows.last_frame())
-            # A run that was killed before its first checkpoint may have come after one that ended
-            # in order.
-            ended = ended and last <= seen.number
-            tracker.load_state_dict(packed, same_settings=False)
+            highest = max(saved[0], highest)
+            if isinstance(saved[3], InputError):
+                raise saved[3]
+            self._restore(frame, highest, saved[1], saved[2], saved[3])
         except InputError as error:
             self._problems["checkpoint"] = (
                 f"the checkpoint cannot be used, tracks and counts begin anew: {error}"
@@ -514,37 +528,60 @@ class Camera:
             self._due = time.monotonic() + self.settings.checkpoint
             self.log.forget_watched()
             tracker.skip_identities(highest)
-            return
-        if not ended:
+
+    def _restore(
+        self,
+        frame: LiveFrame,
+        highest: int,
+        ended: bool,
+        packed: dict[str, Any],
+        saved: SavedCamera,
+    ) -> None:
+        """Restore a checkpoint. Raises `InputError` if it cannot be used; nothing is changed then.
+
+        Parameters
+        ----------
+        frame : the first of this run.
+        highest : identity that an earlier run may have used.
+        ended : whether the earlier run ended in order.
+        packed, saved : state of its tracker, and of everything else.
+        """
+        parts = self._parts
+        tracker = self._tracker
+        maps = self.maps
+        assert parts is not None
+        assert tracker is not None
+        assert maps is not None
+        if saved.people.shape != maps.people.shape:
+            raise InputError("its maps are of another picture")
+        # A run that was killed went on after its checkpoint: up to the last event, and up to the
+        # last row.
+        number, content = self.log.watched() or (0, b"")
+        known = SavedWatch(saved.places, saved.watch)
+        if number >= (saved.held[0].number if saved.held else saved.number + 1):
+            known = SavedWatch.read(content, self.settings.folder)
+        last = max(number, self._rows.last_frame())
+        tracker.load_state_dict(packed, same_settings=False)
+        # A run that was killed before its first checkpoint may have followed one that ended in
+        # order.
+        if not ended or last > saved.number:
             tracker.skip_identities(highest - tracker.highest)
-        interval = max(frame.wall - seen.wall, 1 / made.info.fps)
-        self._ahead = (max(seen.number, last) + 1 - frame.number, seen.time + interval - frame.time)
+        interval = max(frame.wall - saved.wall, 1 / parts.info.fps)
+        self._ahead = (
+            max(saved.number, last) + 1 - frame.number,
+            saved.time + interval - frame.time,
+        )
+        watch, _ = self.watched
         self.watched = (watch, watch.carried(known.state, replace(watch, places=known.places)))
-        self.maps = Maps(seen.people, seen.clutter, maps.cell, seen.mapped)
+        self.maps = Maps(saved.people, saved.clutter, maps.cell, saved.mapped)
         self.minutes.extend(
             Minute(wall, mean, int(most), int(count))
-            for wall, mean, most, count in seen.minutes.tolist()
+            for wall, mean, most, count in saved.minutes.tolist()
         )
-        nothing = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
-        for one in (held for held in seen.held if held.number > last):
-            step = Step(
-                one.number,
-                one.time,
-                Detections.of(one.xyxy),
-                nothing,
-                Estimates.empty(0),
-                Tracks.empty(),
-            )
-            self._held.append(
-                _Held(
-                    LiveFrame(one.number, one.time, one.wall, np.zeros((0, 0, 3), np.uint8)),
-                    step,
-                    None,
-                )
-            )
+        self._held.extend(_held_frame(one) for one in saved.held if one.number > last)
 
-    def _finish(self, held: _Held, rows: Tracks) -> None:
-        """A frame whose rows are final: events, files, counts, maps, picture."""
+    def _finish(self, held: _HeldFrame, rows: Tracks) -> None:
+        """Handle a frame whose rows are final: events, files, counts, maps, picture."""
         frame = held.frame
         step = held.step
         watch, state = self.watched
@@ -562,16 +599,15 @@ class Camera:
         self._rows.write(rows, frame.wall)
         self._latency.append(max(0.0, time.time() - frame.wall))
         probability = step.info.clutter_probability
-        if len(probability) == len(step.detections):
-            known = probability
-        else:
+        known = probability
+        if len(probability) != len(step.detections):
             known = np.zeros(len(step.detections))
         assert self.maps is not None
         self.maps.add(frame.time, feet(confirmed.xyxy), step.detections.xyxy, known)
         self.tracks = len(confirmed)
         Minute.add(self.minutes, len(confirmed), frame.wall)
         if not frame.image.size:
-            # It was seen by the run before.
+            # The frame is of an earlier run.
             return
         recorded = self._video is not None and self._video.due(frame.wall)
         if not recorded and time.monotonic() - self._asked > _WATCHED:
@@ -593,8 +629,9 @@ class Camera:
             self._video.write(picture, frame.wall)
 
     def _tell(self, events: Sequence[Event], wall: float = 0.0, *, last: bool = False) -> None:
-        """Events of a frame to the log, and word of them to everybody; those that could not be
-        written come first the next time, or now, where that is the ``last`` one."""
+        """Log the events of a frame and report them. Events that could not be written come first
+        the next time, or now if it is the ``last`` one.
+        """
         watch, state = self.watched
         self._unwritten.extend(one.as_dict(self.name, stamp(wall), watch.names) for one in events)
         if not (self._unwritten or self.log.problem) or (
@@ -604,10 +641,9 @@ class Camera:
         # Not with each picture: another process that holds the table keeps this one waiting.
         self._patient = time.monotonic() + _AGAIN
         try:
+            saved = None
             if self.settings.checkpoint:
                 saved = (self._finished, SavedWatch(watch.places, state).content())
-            else:
-                saved = None
             fresh = self.log.write(self._unwritten, saved)
         except Exception as error:
             self._problems["events"] = (
@@ -615,9 +651,7 @@ class Camera:
             )
             return
         self._problems.pop("events", None)
-        if self.log.problem:
-            self._patient = self._patient
-        else:
+        if not self.log.problem:
             self._patient = 0.0
         for event in fresh:
             self.counted[str(event["kind"])] += 1
@@ -626,3 +660,12 @@ class Camera:
         self._unwritten.clear()
         for courier in self._couriers:
             courier.wake()
+
+
+def _held_frame(saved: HeldFrame) -> _HeldFrame:
+    """A frame of an earlier run whose rows are not final yet; its picture is not known any more."""
+    nothing = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
+    detections = Detections.of(saved.xyxy)
+    empty = Estimates.empty(0)
+    step = Step(saved.number, saved.time, detections, nothing, empty, Tracks.empty())
+    return _HeldFrame(LiveFrame(saved.number, saved.time, saved.wall, NO_PICTURE), step, None)

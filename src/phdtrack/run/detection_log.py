@@ -1,15 +1,15 @@
-"""How a run that was killed goes on (``--checkpoint-every`` and ``--resume``), and how the next one
-need not detect again.
+"""The log of detections: how an interrupted run is resumed, and why the next one need not detect
+again.
 
-What takes time in a run is to detect. So a checkpoint holds no state of the tracker:
-``checkpoint.log`` has what was detected in every frame, bit for bit, and ``checkpoint.detector``
-what the detector knew after one of these frames. A run that is resumed tracks the frames up to that
-one again, from the log, and detects from there on. All that it writes is written by the same code
-from the same numbers as in a run that was never stopped, and so it is the same.
+Detection takes most of a run's time. So a checkpoint holds no state of the tracker:
+``checkpoint.log`` holds the detections of every frame, bit for bit, and ``checkpoint.detector`` the
+detector's knowledge after one of these frames. A resumed run tracks the frames up to that one
+again, from the log, and detects from there on. The same code writes the same numbers as in a run
+that was never interrupted.
 
-When all frames were looked at the log becomes ``detections.cache``. Its first block says what
-decided it: the file, the detector and its settings. A run in which these are the same takes the
-detections from there.
+After the last frame the log becomes ``detections.cache``. Its first block holds what decided it:
+the file, the detector and its settings. A run in which these are the same reads its detections from
+there.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import threading
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -29,182 +29,208 @@ import numpy as np
 
 from phdtrack import __version__
 from phdtrack.detect import knowledge, restore
+from phdtrack.detect.base import prepared
 from phdtrack.errors import InputError
 from phdtrack.files import cannot_write, json_value, part_of, publish, whole
+from phdtrack.run.camera_motion import Mover
 from phdtrack.run.directory import DETECTED, KNOWN, LOG, RunDirectory
-from phdtrack.run.inputs import Detected, Inputs, Mover, detected, learn_scene
+from phdtrack.run.inputs import Inputs, study_scene
+from phdtrack.run.loop import NO_PICTURE, DetectedFrame, detect_frames
+from phdtrack.run.pipeline_threads import ahead
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.types import STILL, Detections, Frame
 
-EVERY = 10.0
-"""Seconds between two checkpoints, where nothing else is said."""
 # Of the files: it changes with them, and with what a detector finds.
 FORMAT = 5
 Key = Mapping[str, object]
 # Bytes that a detector's knowledge may have: several times that of pictures of 8192x4320.
 _LARGEST = 1 << 32
-# What comes of values that are of other types.
+# Errors that values of other types raise.
 _NONE = (LookupError, ArithmeticError, TypeError, ValueError, AttributeError, RecursionError)
+_BEGIN_ANEW = "Say --overwrite to begin anew."
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """What a detector knew after frame ``number``, where the log of frames up to it is ``size``
-    bytes long.
+class DetectorCheckpoint:
+    """A detector's knowledge after frame ``number``; the log of frames up to it is ``size`` bytes
+    long.
     """
 
     number: int
     size: int
-    detector: dict[str, Any]
+    knowledge: dict[str, Any]
 
 
-class Checkpoint:
-    """The checkpoint of a run. Raises `InputError` where what is there cannot be read, or belongs
-    to a run of other inputs or settings.
+class DetectionLog:
+    """The log of a run. Raises `InputError` if an earlier one cannot be read, or belongs to a run
+    of other inputs or settings.
 
     Parameters
     ----------
     directory : of the run.
-    key, looked : what decides the result, and what the detections, in values that JSON knows;
+    key, detected_by : what decides the result, and what the detections, in values that JSON knows;
         empty: not known.
-    every : seconds between two times that it is brought to disk.
-    resume : go on from what is there; without anything there it is a run from the beginning.
-    anew : do not take what an earlier run has detected.
+    every : seconds between checkpoints.
+    resume : continue from the checkpoint, if there is one.
+    anew : do not reuse detections of an earlier run.
     """
 
     def __init__(
         self,
         directory: RunDirectory,
         key: Key,
-        looked: Key,
+        detected_by: Key,
         every: float,
         *,
         resume: bool,
         anew: bool = False,
     ) -> None:
-        self._log, self._known, self._kept = (
-            directory.file(name) for name in (LOG, KNOWN, DETECTED)
-        )
+        self._log = directory.file(LOG)
+        self._checkpoint = directory.file(KNOWN)
+        self._complete = directory.file(DETECTED)
         self._key = _text(key)
-        self._looked = _text(looked)
+        self._detected_by = _text(detected_by)
         self._every = every
         self._due = 0.0
         self._saving: threading.Thread | None = None
-        # Why there are no more checkpoints; empty where there are.
+        # Why there are no more checkpoints; empty while there are.
         self.problem = ""
-        self.known = self._read() if resume and self._known.exists() else None
+        self.checkpoint: DetectorCheckpoint | None = None
+        if resume and self._checkpoint.exists():
+            self.checkpoint = self._read()
         self.reused = bool(
-            looked and not anew and self.known is None and self._kept_first() == self._looked
+            detected_by
+            and not anew
+            and self.checkpoint is None
+            and self._decided_by() == self._detected_by
         )
 
     @property
     def number(self) -> int:
-        """The frame from which on is detected; 0 where that is the first."""
-        if self.known:
-            return self.known.number + 1
+        """The first frame to detect in; 0 if that is the first of all."""
+        if self.checkpoint:
+            return self.checkpoint.number + 1
         return 0
 
-    def detected(
-        self, inputs: Inputs, frames: Iterable[Frame], mover: Mover | None
-    ) -> Iterator[Detected]:
-        """As `inputs.detected`; frames before the checkpoint come out of the log, and all others go
-        into it.
+    @contextmanager
+    def detected_frames(
+        self, inputs: Inputs, mover: Mover | None = None
+    ) -> Iterator[Iterator[DetectedFrame]]:
+        """Every frame with its detections, as `inputs.detected_frames`; those before the
+        checkpoint, or all that an earlier run detected, are read from the log.
         """
-        iterator = iter(frames)
-        known = self.known
+        source: Iterable[Frame] = inputs.source
+        if not self.reused:
+            source = prepared(inputs.detector, inputs.source)
+        with (
+            ahead(source) as pictures,
+            ahead(self.detect(inputs, pictures, mover)) as detected,
+        ):
+            yield detected
+
+    def detect(
+        self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None = None
+    ) -> Iterator[DetectedFrame]:
+        """Each frame with its detections, from the log, or from the detector into the log.
+
+        Parameters
+        ----------
+        inputs, frames : the detector, and the frames.
+        mover : the camera's motion; None for a camera that stands still.
+        """
+        checkpoint = self.checkpoint
         if self.reused:
-            yield from self._reused(iterator, mover)
+            yield from self._reused(frames, mover)
             return
-        learn_scene(inputs)
-        if known is not None:
-            yield from self._again(inputs, iterator, mover, known)
-        with self._log.open("r+b" if known else "wb", buffering=0) as log:
-            if known:
-                log.truncate(known.size)
-                log.seek(known.size)
+        study_scene(inputs)
+        if checkpoint is not None:
+            yield from self._logged(inputs, frames, mover, checkpoint)
+        with self._log.open("r+b" if checkpoint else "wb", buffering=0) as log:
+            if checkpoint:
+                log.truncate(checkpoint.size)
+                log.seek(checkpoint.size)
             self._due = time.monotonic() + self._every
-            if not known:
-                self._add(inputs, {"looked": self._looked}, log)
-            one = None
+            if not checkpoint:
+                self._add(inputs, {"looked": self._detected_by}, log)
+            detected = None
             try:
-                for one in detected(inputs.detector, iterator, mover):
-                    self._add(inputs, _plain(one), log)
-                    yield one
+                for detected in detect_frames(inputs.detector, frames, mover):
+                    self._add(inputs, _block(detected), log)
+                    yield detected
             except GeneratorExit:
-                # The run was stopped, and is to go on from here.
-                if one is not None and not self.problem:
+                # The run was stopped, and is to be resumed from here.
+                if detected is not None and not self.problem:
                     self._due = 0.0
                     with suppress(OSError):
-                        self._save(inputs, one.frame.number, log)
+                        self._save(inputs, detected.frame.number, log)
                 raise
             finally:
                 if self._saving is not None:
                     self._saving.join()
-        if self._looked and not self.problem and not inputs.source.problem:
-            # All frames were looked at, and a run that is resumed takes them from there.
+        if self._detected_by and not self.problem and not inputs.source.problem:
+            # All frames are in the log, and a resumed run reads them from there.
             with suppress(OSError):
-                self._log.replace(part_of(self._kept))
-                publish(self._kept)
-                self._known.unlink(missing_ok=True)
+                self._log.replace(part_of(self._complete))
+                publish(self._complete)
+                self._checkpoint.unlink(missing_ok=True)
 
-    def _reused(self, frames: Iterator[Frame], mover: Mover | None) -> Iterator[Detected]:
-        """What an earlier run has detected in these frames."""
-        with self._kept.open("rb") as log:
+    def _reused(self, frames: Iterator[Frame], mover: Mover | None) -> Iterator[DetectedFrame]:
+        """The detections of an earlier run in these frames."""
+        with self._complete.open("rb") as log:
             stored = blocks(log)
             next(stored)
             for frame in frames:
-                one = _made(next(stored, (0, None))[1], frame, self._kept, "Say --detect-again")
-                # How the camera moved may be wanted otherwise than then.
-                yield one._replace(
-                    warp=STILL if mover is None else mover(frame, one.found, one.pose)
-                )
+                block = next(stored, (0, None))[1]
+                detected = _detected(block, frame, self._complete, "Say --detect-again")
+                # The camera's motion may be another one than then.
+                warp = STILL
+                if mover is not None:
+                    warp = mover(frame, detected.detections, detected.pose)
+                yield detected._replace(warp=warp)
 
-    def _kept_first(self) -> str:
-        """What decided the detections that an earlier run has left; empty where there are none."""
-        with suppress(OSError, KeyError, TypeError, StopIteration), self._kept.open("rb") as log:
-            return str(next(blocks(log))[1]["looked"])
+    def _decided_by(self) -> str:
+        """The key of the detections that an earlier run left; empty if there are none."""
+        with suppress(OSError, KeyError, TypeError, StopIteration):
+            with self._complete.open("rb") as log:
+                return str(next(blocks(log))[1]["looked"])
         return ""
 
-    def _again(
-        self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None, known: Known
-    ) -> Iterator[Detected]:
-        """What the log holds, up to the frame that the detector's knowledge is of; the detector
-        knows it then.
-        """
+    def _logged(
+        self,
+        inputs: Inputs,
+        frames: Iterator[Frame],
+        mover: Mover | None,
+        checkpoint: DetectorCheckpoint,
+    ) -> Iterator[DetectedFrame]:
+        """The logged detections up to the checkpoint; the detector then has its knowledge."""
         with self._log.open("rb") as log:
             stored = blocks(log)
             pose = STILL
             next(stored, None)
-            for (end, plain), frame in zip(stored, frames, strict=False):
-                one = _made(plain, frame, self._log)
-                pose = one.pose if len(one.pose) else pose
-                if end == known.size:
-                    if one.frame.number != known.number:
+            for (end, block), frame in zip(stored, frames, strict=False):
+                detected = _detected(block, frame, self._log, _BEGIN_ANEW)
+                if len(detected.pose):
+                    pose = detected.pose
+                if end == checkpoint.size:
+                    if detected.frame.number != checkpoint.number:
                         break
-                    restore(inputs.detector, known.detector, frame)
+                    restore(inputs.detector, checkpoint.knowledge, frame)
                     if mover is not None:
-                        # It knows the picture before.
-                        mover(frame, one.found, pose)
-                    yield one
+                        # It needs the picture before the next one.
+                        mover(frame, detected.detections, pose)
+                    yield detected
                     return
-                yield one
-        raise InputError(
-            "it ends before the checkpoint", where=self._log, cure="Say --overwrite to begin anew."
-        )
+                yield detected
+        raise InputError("it ends before the checkpoint", where=self._log, cure=_BEGIN_ANEW)
 
     def _add(self, inputs: Inputs, block: dict[str, Any], log: BinaryIO) -> None:
-        """Write a block, of a frame or the first. Where that fails there are no more checkpoints,
-        and the run goes on.
-        """
+        """Write a block. If that fails there are no more checkpoints, and the run goes on."""
         if self.problem:
             return
         try:
-            # It is to outlast the process. What a power cut takes is what came since the last
+            # It is to outlast the process. A power cut takes what was written since the last
             # checkpoint.
-            left = memoryview(to_bytes(block))
-            while left:
-                # On a disk that is nearly full a part of it is taken.
-                left = left[log.write(left) :]
+            write_block(log, block)
             if "number" in block:
                 self._save(inputs, block["number"], log)
         except OSError as error:
@@ -214,7 +240,7 @@ class Checkpoint:
             )
 
     def _save(self, inputs: Inputs, number: int, log: BinaryIO) -> None:
-        """Bring everything to disk, by a thread of its own, if it is time and the last time has
+        """Bring everything to disk, in a thread of its own, if it is time and the last time has
         ended.
         """
         if time.monotonic() < self._due or (self._saving is not None and self._saving.is_alive()):
@@ -236,10 +262,10 @@ class Checkpoint:
         def save() -> None:
             try:
                 os.fsync(descriptor)
-                with whole(self._known) as part:
+                with whole(self._checkpoint) as part:
                     part.write_bytes(zlib.compress(block, 1))
             except (InputError, OSError):
-                # The disk is full, or the folder is gone: the run will find that out by itself.
+                # The disk is full, or the folder is gone: the run finds that out by itself.
                 pass
             finally:
                 os.close(descriptor)
@@ -247,118 +273,141 @@ class Checkpoint:
         self._saving = threading.Thread(target=save, name="phdtrack checkpoint")
         self._saving.start()
 
-    def _read(self) -> Known:
-        """The detector's knowledge. Raises `InputError` where it is none, or that of another
-        run.
-        """
-        where = self._known
-        cure = "Say --overwrite to begin anew."
+    def _read(self) -> DetectorCheckpoint:
+        """The checkpoint. Raises `InputError` if it is damaged, or that of another run."""
+        where = self._checkpoint
         try:
             value = from_bytes(zlib.decompressobj().decompress(where.read_bytes(), _LARGEST), where)
-            form, key, number, size = (value[name] for name in ("format", "key", "number", "size"))
-            known = Known(int(number), int(size), dict(value["detector"]))
-            before = dict(json.loads(key))
-            other = not isinstance(form, int) or form != FORMAT
-        except (InputError, OSError, zlib.error, *_NONE) as error:
-            raise InputError(
-                f"no checkpoint can be read from it ({error})", where=where, cure=cure
-            ) from None
-        if other:
-            raise InputError(
-                "this checkpoint is of another version of phdtrack", where=where, cure=cure
+            checkpoint = DetectorCheckpoint(
+                int(value["number"]), int(value["size"]), dict(value["detector"])
             )
+            key = value["key"]
+            before = dict(json.loads(key))
+            same_format = value["format"] == FORMAT
+        except (InputError, OSError, zlib.error, *_NONE) as error:
+            problem = f"no checkpoint can be read from it ({error})"
+            raise InputError(problem, where=where, cure=_BEGIN_ANEW) from None
+        if same_format is not True:
+            problem = "this checkpoint is of another version of phdtrack"
+            raise InputError(problem, where=where, cure=_BEGIN_ANEW)
         if key != self._key:
             now = json.loads(self._key)
-            different = sorted(
+            names = sorted(
                 name for name in before.keys() | now.keys() if before.get(name) != now.get(name)
             )
-            problem = f"this checkpoint is of a run that differs in: {', '.join(different)}"
-            raise InputError(
-                problem, where=where, cure=f"Give the same, or choose another --out. {cure}"
-            )
-        return known
+            problem = f"this checkpoint is of a run that differs in: {', '.join(names)}"
+            cure = f"Give the same, or choose another --out. {_BEGIN_ANEW}"
+            raise InputError(problem, where=where, cure=cure)
+        return checkpoint
+
+
+def write_block(log: BinaryIO, block: dict[str, Any]) -> None:
+    """Write a block to an unbuffered file; a disk that is nearly full takes it in parts."""
+    left = memoryview(to_bytes(block))
+    while left:
+        left = left[log.write(left) :]
+
+
+def save_detections(path: Path, frames: Iterable[DetectedFrame]) -> Iterator[DetectedFrame]:
+    """Write the detections of each frame to a file, bit for bit, and give the frame."""
+    with path.open("wb") as log:
+        for detected in frames:
+            log.write(to_bytes(_block(detected)))
+            yield detected
+
+
+def load_detections(path: Path) -> Iterator[DetectedFrame]:
+    """The frames that `save_detections` wrote, without pictures. Raises `InputError` if the file is
+    damaged.
+    """
+    with path.open("rb") as log:
+        for _, block in blocks(log):
+            frame = Frame(block["number"], block["time"], NO_PICTURE)
+            yield _detected(block, frame, path, "Remove it, and run again.")
 
 
 def source_of(path: str) -> list[object]:
-    """What shows whether a file has changed: its name, size and time; of a folder those of what is
-    in it.
+    """Name, size and time of a file, which show whether it has changed; for a folder those of its
+    files.
     """
     file = Path(path)
     if file.is_dir():
-        return [
-            path,
-            sorted(
-                (one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in file.iterdir()
-            ),
-        ]
+        files = [(one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in file.iterdir()]
+        return [path, sorted(files)]
     if file.exists():
         return [path, file.stat().st_size, file.stat().st_mtime_ns]
     return [path]
 
 
 def _text(key: Key) -> str:
-    """What decides a result, as text; empty for nothing."""
+    """The key as text; empty for an empty one."""
     if not key:
         return ""
     return json.dumps(json_value({"version": __version__, "format": FORMAT, **key}), sort_keys=True)
 
 
-def _plain(one: Detected) -> dict[str, Any]:
-    """What a block of the log holds."""
-    found = one.found
-    arrays = {"xyxy": found.xyxy, "confidence": found.confidence, "class_id": found.class_id}
-    if found.covariance is None:
-        more = {}
-    else:
-        more = {"covariance": found.covariance}
-    state = {
-        "number": one.frame.number,
-        "time": one.frame.time,
-        "observed": found.observed,
-        "seconds": one.seconds,
+def _block(detected: DetectedFrame) -> dict[str, Any]:
+    """The contents of a block of the log."""
+    detections = detected.detections
+    block = {
+        "xyxy": detections.xyxy,
+        "confidence": detections.confidence,
+        "class_id": detections.class_id,
+        "number": detected.frame.number,
+        "time": detected.frame.time,
+        "observed": detections.observed,
+        "seconds": detected.seconds,
+        "warp": detected.warp,
+        "pose": detected.pose,
     }
-    return {**arrays, **more, **state, "warp": one.warp, "pose": one.pose}
+    if detections.covariance is not None:
+        block["covariance"] = detections.covariance
+    return block
 
 
-def _made(
-    plain: Any, frame: Frame, where: Path, cure: str = "Say --overwrite to begin anew."
-) -> Detected:
-    """What a block of the log says of the frame. Raises `InputError` where it is of another frame,
-    or no such block.
-    """
+def _detected(block: Any, frame: Frame, where: Path, cure: str) -> DetectedFrame:
+    """The detections in a block. Raises `InputError` if it is of another frame, or damaged."""
     try:
-        same = plain["number"] == frame.number and plain["time"] == frame.time
-        warp = plain["warp"]
-        pose = plain["pose"]
-        seconds = float(plain["seconds"])
-        observed = bool(plain["observed"])
-        found = Detections(
-            plain["xyxy"], plain["confidence"], plain["class_id"], plain.get("covariance"), observed
+        same = block["number"] == frame.number and block["time"] == frame.time
+        warp = block["warp"]
+        pose = block["pose"]
+        detected = DetectedFrame(
+            frame,
+            Detections(
+                block["xyxy"],
+                block["confidence"],
+                block["class_id"],
+                covariance=block.get("covariance"),
+                observed=bool(block["observed"]),
+            ),
+            warp,
+            float(block["seconds"]),
+            pose,
         )
         maps = all(
             one.dtype == np.float64 and one.shape in ((3, 3), STILL.shape) for one in (warp, pose)
         )
-        # A camera that shakes hardly zooms; of a damaged pose there may be no inverse.
+        # A camera that shakes hardly zooms; a damaged pose may have no inverse.
         likely = bool(np.isfinite(pose).all()) and (
             not len(pose) or 0.5 < np.linalg.det(pose) < 2.0
         )
-        good = same and _sound(found) and maps and likely
+        good = same and _sound(detected.detections) and maps and likely
     except _NONE:
         good = False
     if not good:
-        problem = f"what it says of frame {frame.number} does not fit the source"
+        problem = f"its entry for frame {frame.number} does not fit the source"
         raise InputError(problem, where=where, cure=cure)
-    return Detected(frame, found, warp, seconds, pose)
+    return detected
 
 
-def _sound(found: Detections) -> bool:
-    """Whether the arrays are of the types and shapes of detections, and boxes finite."""
-    n = len(found)
-    covariance = found.covariance
-    arrays = [(found.xyxy, (n, 4)), (found.confidence, (n,))] + (
-        [] if covariance is None else [(covariance, (n, 4, 4))]
-    )
+def _sound(detections: Detections) -> bool:
+    """True if the arrays have the types and shapes of detections, and finite values."""
+    n = len(detections)
+    arrays = [(detections.xyxy, (n, 4)), (detections.confidence, (n,))]
+    if detections.covariance is not None:
+        arrays.append((detections.covariance, (n, 4, 4)))
     finite = all(
         a.dtype == np.float64 and a.shape == shape and np.isfinite(a).all() for a, shape in arrays
     )
-    return finite and found.class_id.dtype == np.int64 and found.class_id.shape == (n,)
+    label = detections.class_id
+    return finite and label.dtype == np.int64 and label.shape == (n,)

@@ -1,6 +1,6 @@
 """The directory of a run: which files it holds, and that no earlier run is replaced unasked.
 
-Only the files that a run writes are touched: whatever else lies in the directory stays.
+Only the files that a run writes are touched; other files in the directory stay.
 """
 
 from __future__ import annotations
@@ -44,37 +44,43 @@ COUNTS = "counts.csv"
 COUNTS_PICTURE = "counts.png"
 COUNTS_VIDEO = "counts.mp4"
 COUNTS_PAGE = "counts.html"
-# What a run that was stopped or killed goes on from; removed when it is complete.
+# The checkpoint of a run that was interrupted; removed when it is complete.
 LOG = "checkpoint.log"
 KNOWN = "checkpoint.detector"
-# What a complete run has detected, for the next one; other runs leave it where it is.
+# The detections of a complete run, for the next one; other runs leave it where it is.
 DETECTED = "detections.cache"
-# Every file that a run may write, and what it is; without words it is not listed for people.
+# Every file that a run may write, and what it is.
 RUN_FILES = {
     TRACKS: "tracks, corrected, MOTChallenge",
-    ONLINE: "the same as they came, frame by frame",
-    STATES: "the filter's states before they had identities",
-    DETECTIONS: "what the detector saw",
+    ONLINE: "the same online, frame by frame",
+    STATES: "the filter's states before association",
+    DETECTIONS: "detections",
     GROUPS: "every group in every frame: count, place, contour",
     MEMBERS: "members of each group",
     EVENTS: "groups that appear, vanish, merge, split",
     WARNINGS: "groups about to meet",
-    VIDEO: "to look at",
+    VIDEO: "the annotated video",
     PLAN: "the ground from above",
     CAMERA_MOTION: "how the camera moved, for --camera-motion",
     COUNTS: "who crossed a line, entered or left a zone, and when",
     COUNTS_PICTURE: "lines, zones and what was counted",
     COUNTS_VIDEO: "the same while it goes on",
-    COUNTS_PAGE: "the figures on a page, of tracks that were there already",
+    COUNTS_PAGE: "the figures on a page",
     REPORT: "the run in pictures and numbers",
-    RUN: "everything that decided it, for programs",
+    RUN: "settings and statistics (JSON)",
 }
 
 
-class GivenTracks(NamedTuple):
-    """The tracks of a run or of a file, what it calls their classes, what is known of the sequence
-    (0 and "" where nothing is; its ``frames`` are the number of the last), the source that it was
-    made of, empty where that is not said, and the first frame that was tracked."""
+class RunTracks(NamedTuple):
+    """The tracks of a run or of a file.
+
+    Attributes
+    ----------
+    tracks, names : the tracks, and the names of their classes.
+    info : the sequence, 0 and "" for what is unknown; its ``frames`` are the number of the last.
+    source : the video; empty if unknown.
+    first : the first frame that was tracked.
+    """
 
     tracks: Tracks
     names: Mapping[int, str]
@@ -84,13 +90,13 @@ class GivenTracks(NamedTuple):
 
 
 def is_run(path: Path) -> bool:
-    """Whether it is the directory of a run, or of counts."""
+    """True if it is the directory of a run, or of counts."""
     return any((path / name).exists() for name in (TRACKS, RUN, COUNTS))
 
 
 def part_of_run(path: Path) -> str:
-    """The frames, as 30-50, of the run in a directory, or of a file there; empty for all, and where
-    that is not said.
+    """The frames, as 30-50, of the run in a directory, or of a file there; empty for all, or if
+    unknown.
     """
     with suppress(OSError, InputError, KeyError, TypeError, AttributeError):
         run = (path if path.is_dir() else path.parent) / RUN
@@ -98,9 +104,9 @@ def part_of_run(path: Path) -> str:
     return ""
 
 
-def given_tracks(path: Path) -> GivenTracks:
-    """The corrected tracks in the directory of a run, or those in a file. `InputError` where they
-    cannot be read.
+def read_run_tracks(path: Path) -> RunTracks:
+    """The corrected tracks in the directory of a run, or those in a file. Raises `InputError` if
+    they cannot be read.
     """
     run = (path if path.is_dir() else path.parent) / RUN
     tracks, names = read_tracks_named(path / TRACKS if is_run(path) else path)
@@ -117,14 +123,14 @@ def given_tracks(path: Path) -> GivenTracks:
             info = SequenceInfo(known["width"], known["height"], known["fps"], last, known["name"])
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise InputError(
-                f"expected what a run writes, and there is no {error}", where=run
+                f"expected the run.json of a run, and it has no {error}", where=run
             ) from None
-    return GivenTracks(tracks, names, info, source, first)
+    return RunTracks(tracks, names, info, source, first)
 
 
 class _Lock:
-    """Keeps other processes from writing into a directory, as long as it lives; ``BlockingIOError``
-    where one does.
+    """Keeps other processes from writing into a directory as long as it lives. Raises
+    ``BlockingIOError`` if one does.
     """
 
     __slots__ = ("__weakref__", "_directory")
@@ -151,18 +157,19 @@ _HELD = WeakValueDictionary[Path, _Lock]()
 @dataclass(frozen=True, slots=True)
 class RunDirectory:
     """A directory that is ready to be written into; none of its ``files``, by name with what they
-    are, is there yet, but where an earlier run is resumed."""
+    are, exists yet, unless an earlier run is resumed.
+    """
 
     path: Path
     files: Mapping[str, str]
     lock: _Lock | None = None
 
     def file(self, name: str) -> Path:
-        """Where the file ``name`` lies."""
+        """The path of the file ``name``."""
         return self.path / name
 
     def written(self) -> list[Path]:
-        """Those of the files that exist by now."""
+        """The files that exist by now."""
         return [self.file(name) for name in self.files if self.file(name).exists()]
 
     def listing(self) -> list[str]:
@@ -174,17 +181,13 @@ class RunDirectory:
         ]
 
     def clear(self) -> None:
-        """Remove the files again: nothing came of the run, and what is there would be taken for a
-        result.
-        """
+        """Remove the files again: a run without frames has no results."""
         for file in self.written():
             file.unlink()
         self.sweep()
 
     def sweep(self) -> None:
-        """Remove what a run that was killed has left of files that it did not complete, and its
-        checkpoint.
-        """
+        """Remove incomplete files of a run that was killed, and its checkpoint."""
         for name in self.files:
             part_of(self.file(name)).unlink(missing_ok=True)
         for name in (LOG, KNOWN):
@@ -192,26 +195,32 @@ class RunDirectory:
 
 
 def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> None:
-    """Raise `InputError` where `claim` would because of what is there already: ``path`` is a file,
-    or holds one of ``files``, or what a killed run left of one, and ``overwrite`` is False."""
+    """Raise `InputError` if `claim` would refuse what exists already: a file, or files of a run.
+
+    Parameters
+    ----------
+    path : the directory; None is not checked.
+    overwrite : files of a run may exist.
+    files : the files of a run, by name.
+    """
     if path is None:
         return
     where = f"--out {path}"
     if path.exists() and not path.is_dir():
         raise InputError(
-            "a directory was expected, and this is a file",
+            "expected a directory, and this is a file",
             where=where,
             cure="Choose another --out.",
         )
     held = [name for name in files if (path / name).exists()]
     if folders := [name for name in held if (path / name).is_dir()]:
-        raise InputError(f"{folders[0]} is a directory, where a file is to be written", where=where)
+        raise InputError(f"{folders[0]} is a directory, and a file is to be written", where=where)
     if not overwrite and (
         (path / LOG).exists() or any(part_of(path / name).exists() for name in files)
     ):
-        cure = "Say --resume to go on with it, --overwrite to begin anew, or choose another --out."
+        cure = "Say --resume to continue it, --overwrite to begin anew, or choose another --out."
         raise InputError(
-            "the directory holds a run that was not completed, or is still going on",
+            "the directory holds a run that is incomplete or still going on",
             where=where,
             cure=cure,
         )
@@ -229,7 +238,7 @@ def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FIL
 
 
 def document_of(directory: RunDirectory) -> dict[str, Any]:
-    """What run.json says; nothing where there is none that can be read."""
+    """The content of run.json; empty if there is none that can be read."""
     try:
         document = json.loads(directory.file(RUN).read_bytes())
     except (OSError, ValueError, RecursionError):
@@ -240,7 +249,7 @@ def document_of(directory: RunDirectory) -> dict[str, Any]:
 
 
 def completed(directory: RunDirectory) -> bool:
-    """Whether it holds a run that went to its end, and nothing of a later one."""
+    """True if it holds a complete run, and nothing of a later one."""
     under_way = directory.file(LOG).exists() or any(
         part_of(directory.file(name)).exists() for name in directory.files
     )
@@ -256,12 +265,20 @@ def claim(
     resume: bool = False,
     inputs: Iterable[object] = (),
 ) -> RunDirectory:
-    """``out``, or ``runs/NAME``, made ready and locked: files of an earlier run are removed, so
-    that none is taken for one of this run. To ``resume`` nothing is removed.
+    """The directory of a run, ready and locked, without files of an earlier run.
 
-    Raises `InputError` as `check`, or where one of the ``inputs`` (paths or addresses; None, empty:
-    none) would be replaced, the directory cannot be made or written into, another process writes
-    there, or a package is missing for the report.
+    Parameters
+    ----------
+    out, name : the directory; None for ``runs/NAME``.
+    overwrite : replace files that exist already.
+    files : the files that may be written, by name with what they are.
+    resume : remove nothing.
+    inputs : paths or addresses that are read; None or empty for none.
+
+    Raises
+    ------
+    InputError : as `check`, or an input would be replaced, the directory cannot be made or written
+        into, another process writes there, or a package is missing for the report.
     """
     path = out or Path("runs") / name
     written = {(path / one).resolve(): one for one in files}

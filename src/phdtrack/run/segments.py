@@ -1,40 +1,40 @@
 """Segments of a long video: where it is cut, and how their tracks become those of the video.
 
-Neighbours have frames in common, half of them before the border and half behind it: so each has
-begun early enough when its rows are taken, and the track of an object that is hidden at the border
-goes on in both. Who is who is decided in these frames, and the rows of each frame are taken from
-one segment.
+Neighbours overlap, half of it before the border and half after: so each has begun early enough when
+its rows are used, and the track of an object that is hidden at the border continues in both.
+Identities are matched in the overlap, and the rows of each frame are those of one segment.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phdtrack.arrays import iou
 from phdtrack.files import load, read_json
 from phdtrack.formats.write import Lines
 from phdtrack.metrics.matching import above, assign
 from phdtrack.run import directory as rundir
-from phdtrack.run.video import finish_document
+from phdtrack.run.run_report import finish_document
 from phdtrack.types import F8, I8
 
-# Boxes of one object overlap so much, and do so in as large a share of the frames in which two
-# tracks are both.
+# Boxes of one object have at least this IoU, in at least this share of the frames that two tracks
+# have in common.
 _SAME = 0.5
 _SHARE = 0.5
-# What of the run of the first segment holds for the video.
+# Parts of the first segment's run.json that hold for the video.
 _KEPT = ("title", "versions", "seed", "source", "configuration")
 
 
 class Segment(NamedTuple):
-    """The frames ``first`` … ``last`` (0: the end) are tracked, and rows taken from ``begin`` up to
-    the next one's.
+    """A part of a video: the frames ``first`` … ``last`` (0: the end) are tracked, and their rows
+    are used from ``begin`` up to that of the next segment.
     """
 
     first: int
@@ -43,8 +43,12 @@ class Segment(NamedTuple):
 
 
 def cut(frames: int, length: float, overlap: float) -> list[Segment]:
-    """The segments of a video, as even as can be: about ``length`` frames each, and ``overlap``
-    that two have in common.
+    """The segments of a video, of equal length as far as possible.
+
+    Parameters
+    ----------
+    frames : of the video.
+    length, overlap : about how many frames a segment has, and two have in common.
     """
     count = max(1, round(frames / length))
     half = math.ceil(overlap / 2)
@@ -56,8 +60,8 @@ def cut(frames: int, length: float, overlap: float) -> list[Segment]:
 
 
 class _Rows(NamedTuple):
-    """The rows of a segment's tracks.csv: their frames (M,), identities (M,), classes, boxes (M,
-    4), and all as text.
+    """The rows of a segment's tracks.csv: frames (M,), identities (M,), classes, boxes (M, 4), and
+    all as text.
     """
 
     frame: I8
@@ -68,117 +72,129 @@ class _Rows(NamedTuple):
 
     @classmethod
     def read(cls, path: Path | None) -> _Rows:
-        """The rows of a file, which has no header; none without one."""
+        """The rows of a file, which has no header; none without a file."""
+        text = list[list[str]]()
         if path:
             text = [line.split(",") for line in load(path).decode().splitlines()]
-        else:
-            text = []
         numbers = np.array([row[:6] for row in text], np.float64).reshape(-1, 6)
-        frame = numbers[:, 0].astype(np.int64)
-        identity = numbers[:, 1].astype(np.int64)
         ltwh = numbers[:, 2:]
         return cls(
-            frame,
-            identity,
+            numbers[:, 0].astype(np.int64),
+            numbers[:, 1].astype(np.int64),
             [",".join(row[12:]) for row in text],
             ltwh + np.pad(ltwh[:, :2], ((0, 0), (2, 0))),
             text,
         )
 
+    def labels(self, identities: I8) -> NDArray[np.str_]:
+        """The class of each identity."""
+        known = dict(zip(self.identity.tolist(), self.label, strict=True))
+        return np.array([known[one] for one in identities.tolist()], np.str_)
+
 
 def same(before: _Rows, after: _Rows, since: int, begin: int) -> dict[int, int]:
-    """Which identity of the segment ``before`` an identity ``after`` is.
+    """By identity of the segment ``after`` that of the segment ``before``.
 
-    They are compared in the frames that both segments have, and matched one to one so that the
-    overlaps of the boxes of pairs have the largest sum. Only those count of which rows are taken:
-    before the border from frame ``since`` on, and from ``begin`` on after it.
+    They are compared in the frames that both segments have, and matched one to one so that the sum
+    of the overlaps of their boxes is largest.
+
+    Parameters
+    ----------
+    before, after : rows of both segments.
+    since, begin : only rows that are used count: of ``before`` those from frame ``since`` up to the
+        border, of ``after`` those from the border ``begin`` on.
     """
-    taken = (before.frame >= since) & (before.frame < begin), after.frame >= begin
-    ids = [
-        np.unique(rows.identity[mask]) for rows, mask in zip((before, after), taken, strict=True)
-    ]
-    total, often, both = np.zeros((3, len(ids[0]), len(ids[1])))
+    used_before = (before.frame >= since) & (before.frame < begin)
+    old = np.unique(before.identity[used_before])
+    new = np.unique(after.identity[after.frame >= begin])
+    total, often, both = np.zeros((3, len(old), len(new)))
     for number in np.intersect1d(before.frame, after.frame).tolist():
-        places = list[I8]()
-        boxes = list[F8]()
-        for rows, known in zip((before, after), ids, strict=True):
-            here = np.flatnonzero((rows.frame == number) & np.isin(rows.identity, known))
-            places.append(np.searchsorted(known, rows.identity[here]))
-            boxes.append(rows.xyxy[here])
-        overlap = above(iou(*boxes), _SAME)
-        place = np.ix_(*places)
-        total[place] += overlap
-        often[place] += overlap > 0
-        both[place] += 1
-    kinds = [dict(zip(rows.identity.tolist(), rows.label, strict=True)) for rows in (before, after)]
-    labels = [
-        np.array([kind[one] for one in known.tolist()], np.str_)
-        for kind, known in zip(kinds, ids, strict=True)
-    ]
-    possible = (often >= _SHARE * both) & (labels[0][:, None] == labels[1])
+        rows_old = np.flatnonzero((before.frame == number) & np.isin(before.identity, old))
+        rows_new = np.flatnonzero((after.frame == number) & np.isin(after.identity, new))
+        overlap = above(iou(before.xyxy[rows_old], after.xyxy[rows_new]), _SAME)
+        pairs = np.ix_(
+            np.searchsorted(old, before.identity[rows_old]),
+            np.searchsorted(new, after.identity[rows_new]),
+        )
+        total[pairs] += overlap
+        often[pairs] += overlap > 0
+        both[pairs] += 1
+    same_class = before.labels(old)[:, None] == after.labels(new)
+    possible = (often >= _SHARE * both) & same_class
     a, b = assign(np.where(possible, total, 0.0))
-    return dict(zip(ids[1][b].tolist(), ids[0][a].tolist(), strict=True))
+    return dict(zip(new[b].tolist(), old[a].tolist(), strict=True))
 
 
 def join(parts: Sequence[tuple[Segment, Path]], directory: rundir.RunDirectory) -> dict[str, Any]:
     """Write tracks.csv, states.csv, detections.csv and run.json of a video from those of its
     segments, and return the last.
 
-    Identities are numbered in the order in which they appear. Raises `InputError` where a file
-    cannot be read or written.
+    Identities are numbered in the order in which they appear. Raises `InputError` if a file cannot
+    be read or written.
     """
     runs = [read_json(run := folder / rundir.RUN, load(run)) for _, folder in parts]
     before = _Rows.read(None)
-    names = dict[int, int]()
+    identities = dict[int, int]()
     since = 1
     rows = 0
     used = 0
     begun = set[str]()
+    ends = [part.begin for part, _ in parts[1:]] + [math.inf]
+    names = (rundir.TRACKS, rundir.STATES, rundir.DETECTIONS)
     with ExitStack() as files:
-        names_of = (rundir.TRACKS, rundir.STATES, rundir.DETECTIONS)
-        written = {name: files.enter_context(Lines(directory.file(name))) for name in names_of}
-        for (part, folder), end in zip(
-            parts, [part.begin for part, _ in parts[1:]] + [math.inf], strict=True
-        ):
+        written = {name: files.enter_context(Lines(directory.file(name))) for name in names}
+        for (part, folder), end in zip(parts, ends, strict=True):
             after = _Rows.read(folder / rundir.TRACKS)
-            names = {b: names[a] for b, a in same(before, after, since, part.begin).items()}
-            mine = np.flatnonzero((after.frame >= part.begin) & (after.frame < end))
-            for one in after.identity[mine].tolist():
-                used += one not in names
-                names.setdefault(one, used)
-            found = sorted(
-                (int(after.frame[row]), names[int(after.identity[row])], row)
-                for row in mine.tolist()
-            )
-            lines = [",".join([str(k), str(name), *after.text[row][2:]]) for k, name, row in found]
+            matches = same(before, after, since, part.begin)
+            identities = {new: identities[old] for new, old in matches.items()}
+            own = np.flatnonzero((after.frame >= part.begin) & (after.frame < end)).tolist()
+            for one in after.identity[own].tolist():
+                used += one not in identities
+                identities.setdefault(one, used)
+            lines = _renamed(after, own, identities)
             written[rundir.TRACKS].write("%s", np.array(lines, np.str_))
-            for name in names_of[1:]:
+            for name in names[1:]:
                 lines = list(_within(folder / name, part.begin, end, header=name not in begun))
                 written[name].write("%s", np.array(lines, np.str_))
-                begun |= {name} if lines else set()
+                if lines:
+                    begun.add(name)
             before = after
             since = part.begin
-            rows = rows + len(mine)
+            rows += len(own)
+    document = _document(parts, runs) | {"tracks": used, "track_rows": rows}
+    return finish_document(document, directory)
+
+
+def _renamed(rows: _Rows, own: Sequence[int], identities: Mapping[int, int]) -> list[str]:
+    """Lines of tracks.csv with other identities, by frame and identity."""
+    order = sorted((int(rows.frame[row]), identities[int(rows.identity[row])], row) for row in own)
+    return [",".join([str(frame), str(one), *rows.text[row][2:]]) for frame, one, row in order]
+
+
+def _document(
+    parts: Sequence[tuple[Segment, Path]], runs: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """The run.json of the video except its tracks."""
     last = max(
         part.first - 1 + run["frames"] if run["frames"] else 0
         for (part, _), run in zip(parts, runs, strict=True)
     )
-    document = {name: runs[0][name] for name in _KEPT}
-    document |= {"complete": True, "frames": last, "tracks": used, "track_rows": rows}
-    document["input"] = {
-        name: value for name, value in runs[0]["input"].items() if name != "frames"
+    warnings = [warning for run in runs for warning in run["warnings"]]
+    return {
+        **{name: runs[0][name] for name in _KEPT},
+        "complete": True,
+        "frames": last,
+        "input": {name: value for name, value in runs[0]["input"].items() if name != "frames"},
+        "seconds": sum(run["seconds"] for run in runs),
+        "warnings": list(dict.fromkeys(warnings)),
+        "segments": [{**part._asdict(), "directory": str(folder)} for part, folder in parts],
     }
-    document["seconds"] = sum(run["seconds"] for run in runs)
-    document["warnings"] = list(
-        dict.fromkeys(warning for run in runs for warning in run["warnings"])
-    )
-    document["segments"] = [{**part._asdict(), "directory": str(folder)} for part, folder in parts]
-    return finish_document(document, directory)
 
 
 def _within(path: Path, begin: int, end: float, *, header: bool) -> Iterator[str]:
-    """The lines of a file of which the frame is one of these, and where it is wanted the header."""
+    """The lines of a file of the frames ``begin`` … ``end`` − 1, and if wanted its header."""
     for line in load(path).decode().splitlines():
         number = line.partition(",")[0]
-        if (begin <= int(number) < end) if number.isdecimal() else header:
+        wanted = begin <= int(number) < end if number.isdecimal() else header
+        if wanted:
             yield line

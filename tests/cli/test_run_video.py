@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from phdtrack.associate.graph import GraphMatching
-from phdtrack.cli.show_settings import detections_needed
 from phdtrack.config import build, load
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
@@ -27,9 +26,13 @@ from phdtrack.multiclass import ClassSettings
 from phdtrack.protocols import Model, Stages
 from phdtrack.report import About, Annotator
 from phdtrack.run import directory as rundir
-from phdtrack.run.inputs import DEPTH, Inputs, expected
+from phdtrack.run.confirmation import detections_needed
+from phdtrack.run.inputs import Inputs, expected_end
 from phdtrack.run.observers import RunObserver
-from phdtrack.run.video import Job, Outcome, run
+from phdtrack.run.pipeline_threads import DEPTH
+from phdtrack.run.preparation import PreparedRun
+from phdtrack.run.running import RunOptions
+from phdtrack.run.video import RunResult
 from phdtrack.tracker import FinalTracks, Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
@@ -84,7 +87,9 @@ class Clip:
             left, top, right, bottom = (int(v) for v in box(number))
             image[top:bottom, left:right] = 220
             yield Frame(number, (number - 1) / 25.0, image)
-        self.problem = "clip.mp4: ends after frame 20, but its header announces 30; it may be truncated"
+        self.problem = (
+            "clip.mp4: ends after frame 20, but its header announces 30; it may be truncated"
+        )
 
 
 class Looker:
@@ -98,19 +103,19 @@ class Looker:
 
 
 @pytest.fixture
-def job() -> Job:
+def job() -> PreparedRun:
     model = Model(
         BoxMotion(), BoxSensor(), MeasurementBirth(births_per_detection=0.25), BoxClutter(1.0)
     )
     stages = Stages(model, NoFilter(), Raw(), GraphMatching())
     clip = Clip()
-    return Job(
-        inputs=Inputs(INFO, clip, Looker(), "clip", "looker", pictures=True, again=True),
-        kinds=ClassSettings(stages),
-        configuration={"filter": {"name": "none"}},
-        read={"source": "clip", "detector": "looker"},
-        about=About("clip", "phdtrack track clip"),
+    options = RunOptions(
+        About("clip", "phdtrack track clip"),
+        {"filter": {"name": "none"}},
+        {"source": "clip", "detector": "looker"},
     )
+    inputs = Inputs(INFO, clip, Looker(), "clip", "looker", pictures=True, again=True)
+    return PreparedRun(inputs, ClassSettings(stages), options, load())
 
 
 @pytest.fixture
@@ -118,13 +123,13 @@ def directory(tmp_path: Path) -> rundir.RunDirectory:
     return rundir.claim(tmp_path / "run", overwrite=False)
 
 
-def reading(job: Job, **changes: object) -> Job:
+def reading(job: PreparedRun, **changes: object) -> PreparedRun:
     """The same job on another clip."""
     return replace(job, inputs=replace(job.inputs, source=Clip(**changes)))  # type: ignore[arg-type]
 
 
 def consistent(
-    directory: rundir.RunDirectory, outcome: Outcome, frames: int, *, video: bool = True
+    directory: rundir.RunDirectory, outcome: RunResult, frames: int, *, video: bool = True
 ) -> None:
     """All files are there, complete, and of the same ``frames`` frames."""
     present = FILES - (set() if video else {rundir.VIDEO})
@@ -142,8 +147,8 @@ def consistent(
         assert len(list(open_source(directory.file(rundir.VIDEO)))) == frames
 
 
-def test_a_whole_run(job: Job, directory: rundir.RunDirectory) -> None:
-    outcome = run(job, directory)
+def test_a_whole_run(job: PreparedRun, directory: rundir.RunDirectory) -> None:
+    outcome = job.run(directory)
     assert outcome.stop is None
     consistent(directory, outcome, FRAMES)
     tracks = read_tracks(directory.file(rundir.TRACKS))
@@ -161,9 +166,9 @@ def test_a_whole_run(job: Job, directory: rundir.RunDirectory) -> None:
     ],
 )
 def test_what_stops_a_run_loses_nothing(
-    job: Job, directory: rundir.RunDirectory, error: BaseException
+    job: PreparedRun, directory: rundir.RunDirectory, error: BaseException
 ) -> None:
-    outcome = run(reading(job, error=error, at=13), directory)
+    outcome = reading(job, error=error, at=13).run(directory)
     assert outcome.stop is error
     consistent(directory, outcome, 12)
     said = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
@@ -171,7 +176,7 @@ def test_what_stops_a_run_loses_nothing(
 
 
 def test_a_run_that_was_stopped_is_scored_on_what_it_saw(
-    job: Job, directory: rundir.RunDirectory
+    job: PreparedRun, directory: rundir.RunDirectory
 ) -> None:
     number = np.arange(1, FRAMES + 1)
     truth = Truth(
@@ -180,27 +185,31 @@ def test_a_run_that_was_stopped_is_scored_on_what_it_saw(
         np.array([box(n) for n in number]),
         np.zeros(FRAMES, np.bool_),
     )
-    outcome = run(replace(reading(job, error=KeyboardInterrupt(), at=13), truth=truth), directory)
+    job = reading(job, error=KeyboardInterrupt(), at=13)
+    job = replace(job, options=replace(job.options, truth=truth))
+    outcome = job.run(directory)
     assert outcome.scores is not None
     assert (outcome.scores.frames, outcome.scores.misses) == (12, 0)
 
 
-def test_nothing_computed_leaves_nothing(job: Job, directory: rundir.RunDirectory) -> None:
+def test_nothing_computed_leaves_nothing(job: PreparedRun, directory: rundir.RunDirectory) -> None:
     (directory.path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="frame 1"):
-        run(reading(job, error=InputError("bad", where="clip, frame 1"), at=1), directory)
+        reading(job, error=InputError("bad", where="clip, frame 1"), at=1).run(directory)
     assert [path.name for path in directory.path.iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.parametrize("at", [0, 13])
-def test_a_camera_gives_its_frames_once(job: Job, directory: rundir.RunDirectory, at: int) -> None:
+def test_a_camera_gives_its_frames_once(
+    job: PreparedRun, directory: rundir.RunDirectory, at: int
+) -> None:
     clip = Clip(once=True, error=KeyboardInterrupt() if at else None, at=at)
-    outcome = run(replace(job, inputs=replace(job.inputs, source=clip, again=False)), directory)
+    outcome = replace(job, inputs=replace(job.inputs, source=clip, again=False)).run(directory)
     consistent(directory, outcome, 12 if at else FRAMES)
 
 
 def test_an_interrupt_in_the_loop_stops_the_stages(
-    job: Job, directory: rundir.RunDirectory
+    job: PreparedRun, directory: rundir.RunDirectory
 ) -> None:
     """A real signal: it reaches the main thread, wherever that is, while source and detector are
     frames ahead.
@@ -213,7 +222,7 @@ def test_an_interrupt_in_the_loop_stops_the_stages(
             return super().__call__(frame)
 
     before = threading.active_count()
-    outcome = run(replace(job, inputs=replace(job.inputs, detector=Signalling())), directory)
+    outcome = replace(job, inputs=replace(job.inputs, detector=Signalling())).run(directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     assert 12 - 2 * DEPTH <= outcome.document["frames"] <= FRAMES
     assert (
@@ -239,15 +248,15 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("stopped")
 def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(
-    job: Job, directory: rundir.RunDirectory
+    job: PreparedRun, directory: rundir.RunDirectory
 ) -> None:
-    outcome = run(job, directory)
+    outcome = job.run(directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     consistent(directory, outcome, 7)
 
 
-def test_a_signal_while_corrected_tracks_are_smoothed_waits_for_them(
-    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
+def test_a_signal_waits_for_the_corrected_tracks(
+    job: PreparedRun, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After the last frame; the run ends as after any other signal, with all its files."""
     real = Tracker.tracks
@@ -257,25 +266,27 @@ def test_a_signal_while_corrected_tracks_are_smoothed_waits_for_them(
         return real(self)
 
     monkeypatch.setattr(Tracker, "tracks", signalling)
-    outcome = run(job, directory)
+    outcome = job.run(directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     consistent(directory, outcome, FRAMES)
 
 
 @pytest.mark.usefixtures("stopped")
 def test_after_a_signal_a_long_video_is_not_drawn_to_its_end(
-    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
+    job: PreparedRun, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phdtrack.run.video._SHORTLY", 0.0)
-    outcome = run(job, directory)
+    monkeypatch.setattr("phdtrack.run.annotated_video.DRAWN_AFTER_SIGNAL", 0.0)
+    outcome = job.run(directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     assert len(list(open_source(directory.file(rundir.VIDEO)))) == 1
     assert len(read_tracks(directory.file(rundir.TRACKS))) == 7
-    assert any("annotated.mp4 ends after frame 1 because" in warning for warning in outcome.warnings)
+    assert any(
+        "annotated.mp4 ends after frame 1 because" in warning for warning in outcome.warnings
+    )
 
 
 def test_stopped_while_drawing(
-    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
+    job: PreparedRun, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = Annotator.__call__
     drawn = count(1)
@@ -286,7 +297,7 @@ def test_stopped_while_drawing(
         return real(self, *args, **kwargs)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Annotator, "__call__", interrupted)
-    outcome = run(job, directory)
+    outcome = job.run(directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     assert outcome.document["frames"] == FRAMES
     assert len(read_tracks(directory.file(rundir.TRACKS))) == FRAMES
@@ -294,8 +305,8 @@ def test_stopped_while_drawing(
     assert any("while the video was drawn" in warning for warning in outcome.warnings)
 
 
-def test_an_observer_gets_the_corrected_tracks_of_a_camera_from_the_beginning(
-    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
+def test_an_observer_gets_all_corrected_tracks_of_a_camera(
+    job: PreparedRun, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The tracker has forgotten the first of them by then."""
     given = list[Tracks]()
@@ -306,13 +317,14 @@ def test_an_observer_gets_the_corrected_tracks_of_a_camera_from_the_beginning(
         def finish(self, directory: rundir.RunDirectory, tracks: Tracks) -> None:
             given.append(tracks)
 
-    monkeypatch.setattr("phdtrack.run.video.FinalTracks", partial(FinalTracks, lag=0.1, every=0.1))
-    short = replace(job.kinds.usual, associator=GraphMatching(history=0.4))
-    camera = replace(job.inputs, source=Clip(once=True), again=False)
-    run(
-        replace(job, kinds=ClassSettings(short), inputs=camera, observers=(Keeper(),), video=False),
-        directory,
+    monkeypatch.setattr(
+        "phdtrack.run.run_files.FinalTracks", partial(FinalTracks, lag=0.1, every=0.1)
     )
+    short = replace(job.classes.usual, associator=GraphMatching(history=0.4))
+    camera = replace(job.inputs, source=Clip(once=True), again=False)
+    options = replace(job.options, video=False)
+    job = replace(job, classes=ClassSettings(short), inputs=camera, options=options)
+    replace(job, observers=(Keeper(),)).run(directory)
     (whole,) = given
     tracks = read_tracks(directory.file(rundir.TRACKS))
     assert whole.frame.tolist() == tracks.frame.tolist() == list(range(1, FRAMES + 1))
@@ -322,10 +334,11 @@ def test_an_observer_gets_the_corrected_tracks_of_a_camera_from_the_beginning(
 @pytest.mark.parametrize("again", [True, False])
 @pytest.mark.parametrize("size", [48, 96, 300])
 def test_the_video_may_be_smaller_than_the_pictures(
-    job: Job, directory: rundir.RunDirectory, size: int, *, again: bool
+    job: PreparedRun, directory: rundir.RunDirectory, size: int, *, again: bool
 ) -> None:
     """With the tracks where they are in the pictures, also of a source whose pictures come once."""
-    run(replace(job, video_size=size, inputs=replace(job.inputs, again=again)), directory)
+    options = replace(job.options, video_size=size)
+    replace(job, options=options, inputs=replace(job.inputs, again=again)).run(directory)
     width = min(size, 96)
     height = min(size, 96) * 2 // 3
     pictures = [frame.image for frame in open_source(directory.file(rundir.VIDEO))]
@@ -353,8 +366,11 @@ def test_the_video_may_be_smaller_than_the_pictures(
         )
 
 
-def test_no_video_is_too_small_for_an_encoder(job: Job, directory: rundir.RunDirectory) -> None:
-    assert run(replace(job, video_size=1), directory).stop is None
+def test_no_video_is_too_small_for_an_encoder(
+    job: PreparedRun, directory: rundir.RunDirectory
+) -> None:
+    job = replace(job, options=replace(job.options, video_size=1))
+    assert job.run(directory).stop is None
     assert {frame.image.shape for frame in open_source(directory.file(rundir.VIDEO))} == {
         (16, 24, 3)
     }
@@ -362,11 +378,11 @@ def test_no_video_is_too_small_for_an_encoder(job: Job, directory: rundir.RunDir
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_frames_that_compile_are_left_out_of_the_speed(
-    job: Job, directory: rundir.RunDirectory
+    job: PreparedRun, directory: rundir.RunDirectory
 ) -> None:
-    run(job, directory)
+    job.run(directory)
     # Nothing is compiled any more; the first frame waits for all that comes before it.
-    assert run(job, directory).document["frames_left_out"] == 1
+    assert job.run(directory).document["frames_left_out"] == 1
     double = numba.njit(lambda x: 2 * x)
 
     class Compiling(Looker):
@@ -375,7 +391,8 @@ def test_frames_that_compile_are_left_out_of_the_speed(
             double(np.ones(2) if frame.number >= 15 else 1.0)
             return super().__call__(frame)
 
-    found = run(replace(job, inputs=replace(job.inputs, detector=Compiling())), directory).document
+    compiling = replace(job, inputs=replace(job.inputs, detector=Compiling()))
+    found = compiling.run(directory).document
     # A compilation may reach into the frames that are tracked meanwhile.
     assert 2 <= found["frames_left_out"] <= 6
     assert found["frames_per_second"] > 0
@@ -412,5 +429,5 @@ def test_the_end_of_a_bar(
     is called so.
     """
     source = Clip(info=replace(INFO, frames=frames), share=share, announced=announced)
-    said = expected(source, done, "detecting")
+    said = expected_end(source, done, "detecting")
     assert (said["total"], "estimated" in said["description"]) == (total, estimated)

@@ -1,0 +1,61 @@
+"""From a request to settings: the same for every command."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from phdtrack.config import Settings, load, overlay
+from phdtrack.config.registry import settable
+from phdtrack.run.requests import TrackingRequest
+
+
+def chosen_settings(
+    tracking: TrackingRequest, first: Sequence[str] = (), *, detector: str = ""
+) -> Settings:
+    """The settings of a request: those of preset and file, then of ``first``, then of the options,
+    each in place of those before.
+
+    Parameters
+    ----------
+    tracking : the options.
+    first : settings as ``--set`` takes them.
+    detector : name of the detector that makes the boxes; empty for those of a file.
+    """
+    sets = [*first, *(tracking.sets or ()), *only_classes(tracking.classes)]
+    settings = load(tracking.config, sets, tracking.preset, tracking.filter_name, detector)
+    if tracking.max_detections is not None:
+        settings = overlay(
+            settings, {"limits": {"max_detections": tracking.max_detections}}, "--max-detections"
+        )
+    if tracking.threads is None:
+        return settings
+    # Filter and extraction, if they can use more than one.
+    parallel = [
+        name
+        for name in ("filter", "extract")
+        if "threads" in settable(name, settings.kind(name))
+    ]
+    return overlay(
+        settings, {name: {"threads": tracking.threads} for name in parallel}, "--threads"
+    )
+
+
+def only_classes(text: str) -> list[str]:
+    """The settings that ``--classes`` stands for, as ``--set`` takes them."""
+    if text:
+        return [f"classes.only={json.dumps([word.strip() for word in text.split(',')])}"]
+    return []
+
+
+def scene_settings(scene: Path | None, camera_motion: str = "") -> list[str]:
+    """The settings that a learned scene and a moving camera stand for, as ``--set`` takes them."""
+    sets = []
+    if scene is not None:
+        sets.append(f"scene={scene}")
+    if camera_motion in ("none", "flow"):
+        sets.append(f"camera_motion.kind={camera_motion}")
+    elif camera_motion:
+        sets += ["camera_motion.kind=file", f"camera_motion.file={json.dumps(camera_motion)}"]
+    return sets

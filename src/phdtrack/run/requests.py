@@ -1,0 +1,176 @@
+"""Requests for runs as plain values: a command line or a program fills them in, and other processes
+can receive them.
+
+Empty text, 0 and None stand for what was not given.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from phdtrack.errors import InputError
+
+DEFAULT_DETECTOR = "change"
+CHECKPOINT_EVERY = 10.0
+"""Seconds between checkpoints by default."""
+FrameRange = tuple[int, int]
+"""The first and the last frame to track; 0 for the end."""
+WHOLE: FrameRange = (1, 0)
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class SourceRequest:
+    """The inputs of a run.
+
+    Attributes
+    ----------
+    source : video, folder or pattern of images, camera number or address.
+    detections : file of detections, ``-`` for standard input; None for a detector.
+    detector : name of the detector.
+    frame_size : ``WxH`` in pixels, for detections without a video.
+    fps : frames per second, in place of the video's own.
+    max_width : frames are shrunk to this many pixels for the detector; None for its default.
+    mask : image of the region of interest.
+    on_error : ``stop`` or ``skip`` malformed rows of a file of detections.
+    detect_again : do not reuse detections of an earlier run.
+    """
+
+    source: str = ""
+    detections: Path | None = None
+    detector: str = ""
+    frame_size: str = ""
+    fps: float = 0.0
+    max_width: int | None = None
+    mask: Path | None = None
+    on_error: str = "stop"
+    detect_again: bool = False
+
+    @property
+    def detector_name(self) -> str:
+        """The detector that runs; empty if the detections come from a file."""
+        if self.detections:
+            return ""
+        return self.detector or DEFAULT_DETECTOR
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingRequest:
+    """Settings and options of tracking.
+
+    Attributes
+    ----------
+    filter_name, preset : names of the filter and of the preset.
+    config, sets : TOML file of settings; single settings as ``section.name=value``.
+    seed : seed of everything random.
+    truth : file of annotated objects to score against.
+    threads : threads of particle filters; None for the settings' value.
+    classes : classes to track, separated by commas.
+    max_detections : detections per frame; None for the settings' value.
+    """
+
+    filter_name: str = ""
+    preset: str = ""
+    config: Path | None = None
+    sets: list[str] | None = None
+    seed: int = 0
+    truth: Path | None = None
+    threads: int | None = None
+    classes: str = ""
+    max_detections: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OutputRequest:
+    """The outputs of a run.
+
+    Attributes
+    ----------
+    out : directory; None for ``runs/`` and the source's name.
+    overwrite, resume : replace an earlier run; continue one that was interrupted.
+    blur : ``boxes`` or ``faces`` to pixelate them in all pictures.
+    scene : file that `phdtrack learn` wrote.
+    """
+
+    out: Path | None = None
+    overwrite: bool = False
+    resume: bool = False
+    blur: str = ""
+    scene: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """One run.
+
+    Attributes
+    ----------
+    source, tracking, output : what to read, how to track, where to write.
+    video, video_size : whether to draw annotated.mp4, and its longer side in pixels; 0 for that of
+        the source.
+    camera_motion : ``flow``, ``none`` or a file of homographies.
+    checkpoint_every : seconds between checkpoints; 0 for none.
+    frames : ``A-B``; empty for all.
+    """
+
+    source: SourceRequest = field(default_factory=SourceRequest)
+    tracking: TrackingRequest = field(default_factory=TrackingRequest)
+    output: OutputRequest = field(default_factory=OutputRequest)
+    video: bool = True
+    video_size: int = 1920
+    camera_motion: str = ""
+    checkpoint_every: float = CHECKPOINT_EVERY
+    frames: str = ""
+
+
+def for_name(request: T, name: str) -> T:
+    """The request with ``{}`` replaced by ``name`` in every text and path."""
+    if isinstance(request, str):
+        return request.replace("{}", name)  # type: ignore[return-value]
+    if isinstance(request, Path):
+        return Path(str(request).replace("{}", name))  # type: ignore[return-value]
+    if isinstance(request, list):
+        return [for_name(each, name) for each in request]  # type: ignore[return-value]
+    if is_dataclass(request) and not isinstance(request, type):
+        values = {
+            each.name: for_name(getattr(request, each.name), name) for each in fields(request)
+        }
+        return replace(request, **values)
+    return request
+
+
+def refuse(unused: Mapping[str, Any], problem: str, instead: str) -> None:
+    """Raise `InputError` for the first option that has a value without an effect.
+
+    Parameters
+    ----------
+    unused : values by option.
+    problem : why they have no effect.
+    instead : the option because of which.
+    """
+    for option, value in unused.items():
+        if value:
+            raise InputError(problem, where=option, cure=f"Leave out {option} or {instead}.")
+
+
+def frame_size(text: str) -> tuple[int, int]:
+    """Width and height in pixels from ``WxH``. Raises `InputError` if the text is not a size."""
+    match = re.fullmatch(r"\s*(\d+)\s*[x×X*]\s*(\d+)\s*", text)
+    if not match or not int(match[1]) or not int(match[2]):
+        raise InputError(f"expected a size as 1920x1080, got {text!r}", where="--frame-size")
+    return int(match[1]), int(match[2])
+
+
+def frame_range(text: str) -> FrameRange:
+    """First and last frame from ``A-B``, ``A-`` or ``-B``. Raises `InputError` for other text."""
+    match = re.fullmatch(r"\s*(\d{0,9})\s*-\s*(\d{0,9})\s*", text or "-")
+    if match:
+        first = int(match[1] or 1)
+        last = int(match[2] or 0)
+        if first >= 1 and (not match[2] or last >= first):
+            return first, last
+    raise InputError(f"expected frames as 1500-3000, from 1, got {text!r}", where="--frames")

@@ -1,0 +1,175 @@
+"""The report of a run: report.html, run.json, and sentences for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phdtrack.detect import BACKGROUND
+from phdtrack.detect.scene_knowledge import scene_warnings
+from phdtrack.files import write_text
+from phdtrack.report import report_html, run_document, sentences, write_run
+from phdtrack.report.pages import doubts, lines
+from phdtrack.run import directory as rundir
+from phdtrack.run.confirmation import confirmation
+from phdtrack.run.directory import RunDirectory
+from phdtrack.run.running import Progress, Run
+from phdtrack.types import Tracks
+
+if TYPE_CHECKING:
+    from phdtrack.metrics import Scores
+
+_WHICH = (
+    f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows that"
+    " were final frame by frame."
+)
+_LATEST = (
+    "The source had no end: figures are of the whole run, charts of its last frames, paths of the"
+    " last tracks."
+)
+_REUSED = (
+    "The detections are those of an earlier run with the same detector; --detect-again detects"
+    " anew."
+)
+_HIDDEN = (
+    "In all pictures {} of detections and tracks are hidden; objects that were neither detected nor"
+    " tracked are visible."
+)
+_SHAKES = "The camera shakes: each picture was aligned with the scene before it was compared."
+
+
+def write_report(
+    run: Run,
+    progress: Progress,
+    tracks: Tracks,
+    scores: Scores | None,
+    seconds: tuple[float, float],
+) -> tuple[dict[str, object], tuple[str, ...], tuple[str, ...]]:
+    """Write report.html and run.json.
+
+    Parameters
+    ----------
+    run, progress : what was run, and how far it got.
+    tracks, scores : corrected tracks and their scores.
+    seconds : of everything so far, and of what followed the loop.
+
+    Returns
+    -------
+    The content of run.json; a summary and warnings in sentences.
+    """
+    options = run.options
+    record = replace(progress.recorder.record(tracks, options.about), names=run.names)
+    confirmed = _confirmation(run, progress)
+    background = run.inputs.described in BACKGROUND
+    wrong = scene_warnings(run.inputs.detector) or doubts(record, background=background)
+    about = replace(
+        options.about,
+        seconds=seconds[0],
+        tracking_seconds=progress.seconds,
+        finishing_seconds=seconds[1],
+        left_out=progress.skipped,
+        scores=_score_values(scores),
+        warnings=(*_problems(run, progress), *wrong, *confirmed[1:]),
+        notes=(*confirmed[:1], *_notes(run, progress)),
+    )
+    reports = [observer.report() for observer in run.observers]
+    section = "\n".join(report.section for report in reports)
+    record = replace(record, about=replace(about, sections=section))
+    inputs = {"input": dict(options.read)}
+    configuration = dict(options.configuration)
+    with progress.writing():
+        page = report_html(record, configuration | inputs)
+        write_text(run.directory.file(rundir.REPORT), page)
+    complete = progress.ended is None
+    document = run_document(record, configuration) | {"complete": complete} | inputs
+    document["boxes_left_out"] = progress.tracker.left_out._asdict()
+    if progress.resumed:
+        document["resumed_from_frame"] = progress.resumed
+    if progress.reused:
+        document["detections_reused"] = progress.reused
+    with progress.writing():
+        more = [report.document for report in reports]
+        document = finish_document(document, run.directory, *more)
+    if complete and progress.ended is None:
+        run.directory.sweep()
+    summary = list(sentences(record))
+    if progress.reused:
+        summary.insert(0, _REUSED)
+    summary += [sentence for report in reports for sentence in report.sentences]
+    unwritten = [str(error) for error in progress.unwritten if error is not progress.ended]
+    return document, tuple(summary), (*about.warnings, *unwritten)
+
+
+def finish_document(
+    document: dict[str, object], directory: RunDirectory, *more: dict[str, object]
+) -> dict[str, object]:
+    """Write run.json, and give its content.
+
+    Parameters
+    ----------
+    document, more : its content, and that of observers.
+    directory : of the run; its files are added.
+    """
+    run = directory.file(rundir.RUN)
+    files = {file.name: str(file) for file in directory.written()} | {run.name: str(run)}
+    document = document | {"directory": str(directory.path), "files": files}
+    for part in more:
+        document |= part
+    write_run(run, document)
+    return document
+
+
+def _confirmation(run: Run, progress: Progress) -> tuple[str, ...]:
+    """A note on the confirmation of tracks, and a warning if it takes long."""
+    boxes = [summary.detections.xyxy for summary in progress.summaries]
+    return confirmation(
+        run.classes.usual, run.inputs.info, np.concatenate([np.zeros((0, 4)), *boxes])
+    )
+
+
+def _score_values(scores: Scores | None) -> tuple[tuple[str, float], ...]:
+    """Names and values of the scores, NaN for those that are undefined."""
+    if scores is None:
+        return ()
+    values = scores.as_dict().items()
+    return tuple((name, math.nan if value is None else value) for name, value in values)
+
+
+def _notes(run: Run, progress: Progress) -> Iterator[str]:
+    """Sentences that a reader of the files should know."""
+    yield _WHICH
+    if run.options.blur:
+        yield _HIDDEN.format(run.options.blur)
+    if not run.inputs.again:
+        yield _LATEST
+    if progress.shakes:
+        yield _SHAKES
+
+
+def _problems(run: Run, progress: Progress) -> Iterator[str]:
+    """Sentences about problems: losses of the source, and what stopped the run."""
+    inputs = run.inputs
+    yield from filter(None, (*inputs.warnings, inputs.source.note, progress.source_problem))
+    annotated = 0
+    if run.options.truth is not None:
+        annotated = int(run.options.truth.frame.max(initial=0))
+    interruption = f"stopped by {run.reporter.signal}"
+    stop, cut = (
+        interruption if isinstance(one, KeyboardInterrupt) else one
+        for one in (progress.stop, progress.cut)
+    )
+    yield from lines(
+        "problems.txt",
+        stop=stop,
+        cut=cut,
+        last=progress.last,
+        drawn=progress.drawn,
+        annotated=annotated,
+        last_detected=inputs.last_detected,
+        video=rundir.VIDEO,
+    )
+    yield from progress.tracker.left_out.sentences()
