@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from benchmarks.parts import Outcome, Row, Scale, Skipped
 from benchmarks.timing import Spread, in_turns
 from phdtrack.kernels.particle_models import BLOCK, NORM, H, OwnSize, W, X, Y, prepare
-from phdtrack.kernels.particles import ROWS, SEEN, WEIGHT, evaluate
+from phdtrack.kernels.particles import DETECTED, ROWS, WEIGHT, evaluate
 
 KEYS = ("c_kernel",)
 SOURCE = Path(__file__).resolve().parent / "kernel.c"
@@ -69,7 +69,7 @@ def block(rng: np.random.Generator) -> tuple[F4, F4]:
     s = np.zeros(ROWS * BLOCK, np.float32)
     for row, mean, sd in ((X, 300, 3), (Y, 200, 5), (W, 35, 4), (H, 70, 8)):
         s[row : row + BLOCK] = rng.normal(mean, sd, BLOCK)
-    s[WEIGHT : WEIGHT + BLOCK] = s[SEEN : SEEN + BLOCK] = 1
+    s[WEIGHT : WEIGHT + BLOCK] = s[DETECTED : DETECTED + BLOCK] = 1
     around = np.array([[4], [7], [5], [10]]) * rng.standard_normal((4, DETECTIONS))
     return s, (np.array([[300], [200], [35], [70]]) + around).astype(np.float32)
 

@@ -41,7 +41,7 @@ def problem(seed: int, whole: bool = False):
     st.sampled_from([-0.5, -3.0, -8.0, -np.inf]),
 )
 @settings(max_examples=250, deadline=None)
-def test_the_best_in_order(seed: int, whole: bool, most: int, log_ratio: float):
+def test_assignments_are_the_best_in_order(seed: int, whole: bool, most: int, log_ratio: float):
     world = problem(seed, whole)
     wanted = twins.all_assignments(*world)
     best = wanted[0][0]
@@ -57,7 +57,7 @@ def test_the_best_in_order(seed: int, whole: bool, most: int, log_ratio: float):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_pairs_have_the_largest_sum_that_there_is(seed: int):
+def test_best_pairs_have_the_largest_sum(seed: int):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 30))
     gain = np.where(rng.random((count, count)) < 0.2, rng.normal(1, 2, (count, count)), -np.inf)
@@ -72,7 +72,7 @@ def test_pairs_have_the_largest_sum_that_there_is(seed: int):
     )
 
 
-def test_many_measurements_and_tracks_in_one_place():
+def test_best_hundred_of_many_assignments():
     """12 measurements, 12 tracks, 10¹² assignments: the best hundred, each once, and no better
     neighbour is left out.
     """
@@ -108,7 +108,7 @@ def test_many_measurements_and_tracks_in_one_place():
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
-def test_components(seed: int):
+def test_components_are_those_of_the_graph(seed: int):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 15))
     first, second = rng.integers(0, count, (2, int(rng.integers(0, 15))))
@@ -119,7 +119,7 @@ def test_components(seed: int):
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
-def test_competing_tracks(seed: int):
+def test_tracks_that_share_measurements_compete(seed: int):
     rng = np.random.default_rng(seed)
     forms = int(rng.integers(1, 12))
     window = int(rng.integers(1, 4))
@@ -133,7 +133,7 @@ def test_competing_tracks(seed: int):
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
-def test_hypotheses_go_on_as_all_assignments_of_their_leaves_say(seed: int):
+def test_children_are_all_assignments_of_the_leaves(seed: int):
     """Leaves and measurements of the whole frame in, numbers of branches out."""
     rng = np.random.default_rng(seed)
     leaves = int(rng.integers(1, 7))
@@ -187,5 +187,5 @@ def test_hypotheses_go_on_as_all_assignments_of_their_leaves_say(seed: int):
 
 @given(st.lists(st.lists(st.integers(-1, 3), min_size=3, max_size=3), min_size=1, max_size=60))
 @settings(deadline=None)
-def test_rows_that_are_equal(rows: list[list[int]]):
+def test_equal_rows_have_the_index_of_the_first(rows: list[list[int]]):
     assert equal_rows(np.array(rows)).tolist() == [rows.index(row) for row in rows]

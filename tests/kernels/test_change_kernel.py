@@ -45,7 +45,9 @@ def case(
 
 
 @pytest.mark.parametrize(("height", "width", "window"), SIZES)
-def test_what_changed(rng: np.random.Generator, height: int, width: int, window: int) -> None:
+def test_changed_pixels_are_those_of_the_definition(
+    rng: np.random.Generator, height: int, width: int, window: int
+) -> None:
     reference, image, scene = case(rng, height, width)
     gain = np.array([1.0213, 0.9071, 1.0])
     offset = np.array([-3.07, 8.03, 0.0])
@@ -65,7 +67,7 @@ def test_what_changed(rng: np.random.Generator, height: int, width: int, window:
     assert height < 9 or 0 < expected.mean() < 1
 
 
-def test_what_was_seen_before_has_not_changed(rng: np.random.Generator) -> None:
+def test_pixels_like_earlier_samples_have_not_changed(rng: np.random.Generator) -> None:
     height = 9
     width = 31
     reference, image, scene = case(rng, height, width)
@@ -94,7 +96,7 @@ def test_what_was_seen_before_has_not_changed(rng: np.random.Generator) -> None:
     assert after.any()
 
 
-def test_the_light_is_a_line_through_what_did_not_change(rng: np.random.Generator) -> None:
+def test_light_is_a_line_through_unchanged_pixels(rng: np.random.Generator) -> None:
     reference, image, _ = case(rng, 60, 81)
     lit = twin.relit(reference.astype(float), np.array([1.0, 1.1, 1.0]), np.array([0.0, -5.0, 0.0]))
     image[20:40] = lit[20:40].clip(0, 255)
@@ -116,7 +118,7 @@ def test_the_light_is_a_line_through_what_did_not_change(rng: np.random.Generato
     np.testing.assert_allclose(found[:, 3], inverse @ offset, atol=0.2)
 
 
-def test_what_is_as_bright_as_it_can_be_has_not_changed() -> None:
+def test_saturated_pixels_have_not_changed() -> None:
     """The reference in a light that makes it brighter than white."""
     image = np.full((12, 12, 3), 128, np.uint8)
     reference = image.astype(np.float32)
@@ -134,7 +136,7 @@ def test_what_is_as_bright_as_it_can_be_has_not_changed() -> None:
 
 
 @pytest.mark.parametrize("covered", [True, False])
-def test_where_little_tells_of_the_light_it_is_the_same(covered: bool) -> None:
+def test_light_is_unchanged_without_enough_pixels(covered: bool) -> None:
     reference = np.full((40, 40, 3), 128, np.float32)
     image = np.full((40, 40, 3), 128, np.uint8)
     reference[..., 0] = 100
@@ -146,7 +148,7 @@ def test_where_little_tells_of_the_light_it_is_the_same(covered: bool) -> None:
 
 
 @pytest.mark.parametrize(("height", "width"), [(8, 22), (7, 21)])
-def test_reference_and_noise_follow(rng: np.random.Generator, height: int, width: int) -> None:
+def test_reference_and_noise_are_updated(rng: np.random.Generator, height: int, width: int) -> None:
     reference, image, scene = case(rng, height, width)
     energy = rng.uniform(0, 80, scene.shape).astype(np.float32)
     foreground = np.zeros(scene.shape, np.uint8)
@@ -171,7 +173,7 @@ def test_reference_and_noise_follow(rng: np.random.Generator, height: int, width
     )
 
 
-def test_the_noise_between_two_pictures(rng: np.random.Generator) -> None:
+def test_noise_is_the_histogram_of_differences(rng: np.random.Generator) -> None:
     first, second = (
         twin.joined(twin.parted(each), 13, 23)
         for each in rng.integers(0, 256, (2, 13, 23, 3), dtype=np.uint8)
@@ -188,7 +190,9 @@ def test_the_noise_between_two_pictures(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize(("width", "reach"), [(30, 2), (130, 3), (136, 3)])
-def test_how_much_of_an_edge_there_is(rng: np.random.Generator, width: int, reach: int) -> None:
+def test_edges_are_mean_gradients_along_the_outline(
+    rng: np.random.Generator, width: int, reach: int
+) -> None:
     image = rng.integers(0, 256, (20, width), dtype=np.uint8)
     reference = rng.uniform(0, 255, (20, width)).astype(np.float32)
     mask = np.where(cv2.blur(rng.random((20, width)), (9, 9)) > 0.5, 255, 0).astype(np.uint8)
@@ -219,7 +223,7 @@ def test_boxes_and_areas_of_contours_are_those_of_opencv(rng: np.random.Generato
     assert len(found) > 10
 
 
-def test_where_two_that_touch_are_parted(rng: np.random.Generator) -> None:
+def test_valley_is_that_of_the_definition(rng: np.random.Generator) -> None:
     cuts = set()
     for _ in range(60):
         filled = np.zeros((40, int(rng.integers(16, 60))), np.uint8)
@@ -236,7 +240,7 @@ def test_where_two_that_touch_are_parted(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize(("height", "width"), [(24, 40), (9, 37), (30, 136)])
 @pytest.mark.parametrize("beyond", [(0, 0), (3, 1)])
-def test_a_frame_is_looked_at_in_one_call(
+def test_one_call_does_all_steps_of_a_frame(
     rng: np.random.Generator, height: int, width: int, beyond: tuple[int, int]
 ) -> None:
     reference, image, scene = case(rng, height, width)
@@ -319,6 +323,6 @@ def test_masks_are_cleaned_as_by_opencv(
 @pytest.mark.parametrize(
     ("count", "n", "kind"), [(51, 30, np.uint8), (7, 700, np.int16), (1, 3, np.uint8)]
 )
-def test_medians(rng: np.random.Generator, count: int, n: int, kind: type) -> None:
+def test_middle_is_the_median(rng: np.random.Generator, count: int, n: int, kind: type) -> None:
     samples = rng.integers(0, 200, (count, n)).astype(kind)
     np.testing.assert_array_equal(middle(samples), np.median(samples, axis=0))

@@ -41,7 +41,7 @@ def test_products_and_sums_without_each_at_any_magnitude(decades: int, relative:
         )
 
 
-def test_a_cut_at_the_most_targets_that_there_can_be(rng):
+def test_products_can_be_cut_at_the_most_targets(rng):
     a = rng.uniform(0, 1, 8)
     b = rng.uniform(0, 1, 8)
     w = rng.uniform(0, 1, 4)
@@ -51,7 +51,7 @@ def test_a_cut_at_the_most_targets_that_there_can_be(rng):
     assert_logs(log_sums_without(logs(a), logs(b), cut, logs(w)), twin.sums_without(a, b, w), 1e-13)
 
 
-def test_no_factors():
+def test_no_factors_give_the_constant_one():
     none = np.zeros(0)
     products = log_products(none, none, 5)
     np.testing.assert_array_equal(products, [[0.0]])

@@ -51,7 +51,7 @@ def test_cut_keeps_every_particle_in_small_blocks(seed: int, count: int, most: i
 
 @given(seeds, st.integers(1, 8), st.sampled_from([np.float32, np.float64]), st.booleans())
 @settings(max_examples=30, deadline=None)
-def test_what_is_known_of_blocks(seed: int, d: int, kind: type, equal: bool):
+def test_summaries_of_blocks_are_exact(seed: int, d: int, kind: type, equal: bool):
     rng = np.random.default_rng(seed)
     start = np.cumsum([0, *rng.integers(0, 20, 4)])
     state = rng.normal(rng.choice([0.0, 500.0]), 10, (max(d, 2), start[-1])).astype(kind)
@@ -80,7 +80,7 @@ def test_what_is_known_of_blocks(seed: int, d: int, kind: type, equal: bool):
 
 @given(seeds, st.integers(0, 8), st.integers(1, 9))
 @settings(max_examples=40, deadline=None)
-def test_what_windows_reach(seed: int, count: int, most: int):
+def test_windows_reach_the_blocks_they_overlap(seed: int, count: int, most: int):
     rng = np.random.default_rng(seed)
     x = rng.uniform(0, 100, (2, 60))
     order, start = cut(x, most)
@@ -99,7 +99,7 @@ def test_what_windows_reach(seed: int, count: int, most: int):
     np.testing.assert_array_equal(unreached(parts, low, high), ~inside.any(1))
 
 
-def test_claims():
+def test_seeds_claim_free_particles_in_their_windows():
     """The second asks for what the first has; the third for the rest."""
     x = np.array([[0.0, 1, 2, 10, 11], [0, 0, 0, 0, 0]])
     weight = np.array([1.0, 1, 2, 1, 0])
@@ -132,7 +132,7 @@ def test_light_clusters_are_joined_and_the_heavy_enough_kept(seed: int, k: int):
         )
 
 
-def test_box_states(rng):
+def test_states_of_boxes_and_their_noise(rng):
     z = rng.uniform(5, 90, (4, 7))
     sensor = BoxSensor(min_noise=6.0)
     x, _ = sensor.states(z)
@@ -158,7 +158,7 @@ def cloud(rng: np.random.Generator) -> tuple[F8, Gaussians]:
 
 
 @pytest.mark.parametrize(("dtype", "close"), [(np.float64, 1e-10), (np.float32, 1e-3)])
-def test_a_step_is_that_of_the_definition(dtype: type[np.floating], close: float) -> None:
+def test_em_step_is_that_of_the_definition(dtype: type[np.floating], close: float) -> None:
     rng = np.random.default_rng(1)
     x, mixture = cloud(rng)
     weight = rng.uniform(0.2, 2, 500)
@@ -170,7 +170,7 @@ def test_a_step_is_that_of_the_definition(dtype: type[np.floating], close: float
         np.testing.assert_allclose(mine, expected, rtol=close, atol=close)
 
 
-def test_components_explain_only_the_blocks_that_name_them() -> None:
+def test_components_explain_only_their_blocks() -> None:
     x, mixture = cloud(np.random.default_rng(2))
     # The first 200 samples may belong to components 0 and 2, the next 200 to component 1 alone, the
     # others to none.

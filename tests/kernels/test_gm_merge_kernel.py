@@ -54,7 +54,7 @@ def kernel(weight, mean, cov, prune, distance, most, redistribute):
 
 @pytest.mark.parametrize("d", [2, 4, 6])
 @pytest.mark.parametrize("seed", range(6))
-def test_reduction_is_the_printed_one(d: int, seed: int):
+def test_reduction_is_that_of_the_paper(d: int, seed: int):
     rng = np.random.default_rng(seed)
     w, mean, cov = mixture(rng, 70, d, [20.0, 200.0, 2000.0][seed % 3])
     before = len(w)
@@ -65,7 +65,7 @@ def test_reduction_is_the_printed_one(d: int, seed: int):
     assert len(twin.reduce(w, mean, cov, 1e-5, 2.0, 0, False)[0]) < before, "something was merged"
 
 
-def test_mean_and_covariance_of_the_mixture_stay(rng):
+def test_merging_keeps_mean_and_covariance(rng):
     w, mean, cov = mixture(rng, 50, 6, 30.0)
     far = mean + 1e6
     a, m, p = kernel(w, far, cov, 0.0, 3.0, 0, False)
@@ -81,7 +81,7 @@ def test_mean_and_covariance_of_the_mixture_stay(rng):
     np.testing.assert_array_equal(p, p.transpose(0, 2, 1))
 
 
-def test_nothing_and_next_to_nothing():
+def test_empty_and_light_mixtures():
     none = (np.zeros(0), np.zeros((6, 0)), np.zeros((0, 6, 6)))
     for a, b in zip(kernel(*none, 1e-5, 2.0, 10, True), none, strict=True):
         assert a.shape == b.shape
@@ -95,7 +95,7 @@ def test_nothing_and_next_to_nothing():
     assert mean.shape == (6, 1)
 
 
-def test_one_place_many_times(rng):
+def test_merging_at_one_point_and_on_a_line(rng):
     """All in one point, and all on one line: grids of no extent."""
     mean = np.zeros((4, 40))
     cov = np.tile(np.eye(4), (40, 1, 1))
@@ -105,14 +105,14 @@ def test_one_place_many_times(rng):
     same(kernel(w, mean, cov, 0.0, 2.0, 0, False), twin.reduce(w, mean, cov, 0.0, 2.0, 0, False))
 
 
-def test_what_is_not_positive_definite_stays_alone():
+def test_singular_covariances_are_not_merged():
     mean = np.zeros((2, 3))
     cov = np.stack([np.eye(2), np.zeros((2, 2)), np.diag([1.0, 0.0])])
     assert len(kernel(np.array([1.0, 0.5, 0.2]), mean, cov, 0.0, 2.0, 0, False)[0]) == 3
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_means_that_are_no_numbers_are_refused(bad: float):
+def test_means_that_are_not_finite_are_refused(bad: float):
     mean = np.zeros((6, 3))
     mean[1, 1] = bad
     with pytest.raises(ValueError, match="finite"):
@@ -141,7 +141,7 @@ def test_gaussian_parts(seed: int, m: int, count: int):
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_a_matrix_that_is_not_positive_definite_gives_nan_and_spoils_no_other():
+def test_matrix_not_positive_definite_gives_nan_alone():
     cov = np.stack([np.array([[1.0, 2.0], [2.0, 1.0]]), np.eye(2)])
     distance2, log_det = gaussian_parts(np.ones((2, 2)), cov)
     assert np.isnan(distance2[0])

@@ -36,7 +36,7 @@ def overlaps(low, high, lower, upper) -> set[tuple[int, int]]:
 
 @given(rectangles, rectangles, st.sampled_from([0.0, 7.0]))
 @settings(max_examples=100, deadline=None)
-def test_rectangles_that_overlap(boxes, others, least: float):
+def test_overlapping_rectangles_are_found(boxes, others, least: float):
     low, high = corners(boxes)
     lower, upper = corners(others)
     first, second = overlapping_pairs(low, high, make_grid(lower, upper, least, least))
@@ -60,7 +60,7 @@ def test_points_in_rectangles(points, around):
     assert set(found) == overlaps(lower, upper, at, at)
 
 
-def test_many_more_pairs_than_points():
+def test_more_pairs_than_points_fit():
     at = np.random.default_rng(2).uniform(0, 1, (2, 30))
     point, _ = points_in_rectangles(at, np.full((2, 40), -1.0), np.full((2, 40), 2.0))
     assert len(point) == 1200
@@ -68,7 +68,7 @@ def test_many_more_pairs_than_points():
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 @pytest.mark.parametrize("place", range(3))
-def test_what_is_not_finite_is_refused(wrong: float, place: int):
+def test_values_that_are_not_finite_are_refused(wrong: float, place: int):
     """Cells made of NaN would lie outside the grid, and memory beside it would be written."""
     arrays = [np.zeros((2, 2)), np.zeros((2, 1)), np.ones((2, 1))]
     arrays[place].flat[-1] = wrong
@@ -90,7 +90,7 @@ def test_cells_are_clamped():
         assert cell_of(value, 0.0, 1.0, 4) == cell
 
 
-def test_shares_of_boxes_that_nearer_boxes_cover():
+def test_covered_shares_are_those_of_nearer_boxes():
     """By the shared area over the box's own, of hiders that are nearer; a depth of NaN hides
     nothing.
     """
@@ -112,7 +112,7 @@ def test_shares_of_boxes_that_nearer_boxes_cover():
             if other_depth[b] < depth[a] and wide > 0 and high > 0:
                 wanted[a] = max(wanted[a], wide * high / np.prod(box[2:] - box[:2]))
     np.testing.assert_allclose(
-        hiders.seen_part(np.zeros((2, 40)), xyxy + 0.0, depth), 1 - wanted**1.5
+        hiders.visible_part(np.zeros((2, 40)), xyxy + 0.0, depth), 1 - wanted**1.5
     )
 
 
@@ -153,7 +153,7 @@ def crowd(rng: np.random.Generator, count: int, room: float) -> np.ndarray:
 
 @pytest.mark.parametrize("overlap", [0.0, 0.2, 0.5, 0.9])
 @pytest.mark.parametrize("count", [1, 2, 17, 120])
-def test_they_are_those_of_the_definition(count: int, overlap: float):
+def test_kept_boxes_are_those_of_the_definition(count: int, overlap: float):
     went = 0
     for seed in range(6):
         boxes = crowd(np.random.default_rng(seed), count, 40.0 + 4 * count * (seed % 3))

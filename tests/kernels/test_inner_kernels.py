@@ -33,7 +33,7 @@ def callable_from_python(kernel: CPUDispatcher) -> bool:
     return not kernel.targetoptions.get("no_cpython_wrapper", False)
 
 
-def test_only_kernels_know_them() -> None:
+def test_only_kernels_import_inner_kernels() -> None:
     modules = {module.name for module in pkgutil.walk_packages(phdtrack.__path__, "phdtrack.")}
     outside = {
         name
@@ -44,7 +44,7 @@ def test_only_kernels_know_them() -> None:
     assert {name: found for name in sorted(outside) if (found := inner_kernels_of(name))} == {}
 
 
-def test_what_is_kept_on_disk_can_be_called_from_python() -> None:
+def test_cached_kernels_can_be_called_from_python() -> None:
     modules = [
         module.name
         for module in pkgutil.iter_modules(phdtrack.kernels.__path__, "phdtrack.kernels.")
@@ -55,7 +55,7 @@ def test_what_is_kept_on_disk_can_be_called_from_python() -> None:
     assert [kernel.py_func for kernel in inner if kernel.stats.cache_path is not None] == []
 
 
-def test_the_tests_can_call_them() -> None:
+def test_from_python_wraps_inner_kernels() -> None:
     assert "exp32" in inner_kernels_of("phdtrack.kernels.fast32")
     [exp32] = from_python(fast32.exp32)
     assert exp32(np.float32(0.0)) == pytest.approx(1.0, abs=1e-6)

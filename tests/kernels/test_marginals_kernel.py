@@ -64,13 +64,13 @@ def forest(rng: np.random.Generator, targets: int, n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_on_trees_they_are_exact(seed: int):
+def test_marginals_are_exact_on_trees(seed: int):
     rng = np.random.default_rng(seed)
     psi = forest(rng, int(rng.integers(1, 5)), int(rng.integers(1, 5)))
     same(of_table(psi), twin.enumerated(psi), rtol=0, atol=1e-9)
 
 
-def test_with_cycles_they_are_nearly():
+def test_marginals_are_nearly_exact_with_cycles():
     """The greatest error of 300 small tables, odds of up to 1000: 0.014 on average, 0.22 at worst,
     0.0004 of half.
     """

@@ -104,7 +104,7 @@ def frames(kind: str):
 
 
 @pytest.mark.parametrize("kind", ["crowded", "loose", "alike"])
-def test_the_explanation_is_the_plain_one(kind: str) -> None:
+def test_explanation_is_that_of_the_definition(kind: str) -> None:
     merged = Counter()
     ties = 0
     for rule, model, given, detections, _ in frames(kind):
@@ -136,7 +136,7 @@ def test_the_explanation_is_the_plain_one(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["crowded", "loose"])
-def test_targets_are_continued_as_the_plain_definition_says(kind: str) -> None:
+def test_continuation_is_that_of_the_definition(kind: str) -> None:
     nearest = 0
     kept = 0
     for rule, model, targets, detections, rng in frames(kind):

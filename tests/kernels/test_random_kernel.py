@@ -81,7 +81,7 @@ def normals(key=(3, 4), stage: int = 0, blocks: int = BLOCKS) -> np.ndarray:
     return out.astype(np.float64)
 
 
-def test_normals_are_those_of_the_twin():
+def test_normals_are_those_of_the_definition():
     found = normals((12345, 0xDEADBEEF), 1, 2)
     for b, i in ((0, 0), (0, 1), (0, 255), (1, 0), (1, 77)):
         np.testing.assert_allclose(
@@ -106,7 +106,7 @@ def test_moments_and_law_of_the_normals():
             assert abs(np.count_nonzero(np.abs(x) > far) - wanted) < 4.5 * np.sqrt(wanted) + 3, far
 
 
-def test_normals_of_rows_blocks_stages_frames_and_keys_do_not_correlate():
+def test_normals_of_different_streams_do_not_correlate():
     a = normals()
     x = a.ravel()
     others = {

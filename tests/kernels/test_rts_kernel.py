@@ -19,7 +19,7 @@ def case(request):
     return rng, n, d, np.sort(rng.permutation(d)[:r])
 
 
-def test_predictions(case):
+def test_prediction_is_that_of_the_formula(case):
     rng, n, d, _ = case
     f = rng.standard_normal((n, d, d))
     p = gaussians(rng, n, d)
@@ -27,7 +27,7 @@ def test_predictions(case):
     np.testing.assert_allclose(rts.predicted(p, f, q), f @ p @ f.transpose(0, 2, 1) + q, rtol=1e-10)
 
 
-def test_updates(case):
+def test_update_is_that_of_the_formula(case):
     rng, n, d, rows = case
     x = rng.normal(size=(n, d))
     p = gaussians(rng, n, d)
@@ -46,7 +46,7 @@ def test_updates(case):
         )
 
 
-def test_smoothing_back(case):
+def test_smoothing_is_that_of_the_formula(case):
     rng, n, d, _ = case
     x = rng.normal(size=(n, d))
     p = gaussians(rng, n, d)
@@ -73,12 +73,12 @@ def test_smoothing_back(case):
         )
 
 
-def test_evidence(case):
+def test_log_density_is_that_of_the_formula(case):
     rng, n, d, rows = case
     step = rng.normal(size=(n, len(rows)))
     p = gaussians(rng, n, d)
     r = gaussians(rng, n, len(rows))
-    (log_density,) = from_python(rts._log_density)
+    (log_density,) = from_python(rts.log_density)
     for k in range(n):
         s = p[k][np.ix_(rows, rows)] + r[k]
         for here in (slice(0, 2), slice(2, None)):
@@ -93,7 +93,7 @@ def test_evidence(case):
             assert found == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
-def test_a_component_that_is_known_exactly_stays_so(rng):
+def test_exactly_known_component_stays_so(rng):
     """Its variance is 0: the predicted covariance has no inverse."""
     p = gaussians(rng, 3, 4)
     f = np.tile(np.eye(4), (3, 1, 1))

@@ -20,7 +20,7 @@ from phdtrack.kernels.common_motion import (
 )
 from phdtrack.metrics import evaluate
 from phdtrack.models import warp as warp_of
-from phdtrack.models.common_motion import CommonMotion
+from phdtrack.models.common_motion import motion_of, similarity
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import Tracks
 
@@ -73,7 +73,7 @@ def fit(case, scale):
     )
 
 
-def test_a_motion_is_found_within_its_error(rng):
+def test_motion_is_estimated_within_its_error(rng):
     """Of 200 frames with motions from the prior: squared errors in variances have the mean 1 of a
     χ² of each component.
     """
@@ -89,7 +89,7 @@ def test_a_motion_is_found_within_its_error(rng):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_it_is_the_most_probable_one_by_the_definition(seed: int):
+def test_motion_is_the_most_probable_one(seed: int):
     rng = np.random.default_rng(seed)
     scale = np.array([30.0, 30.0, 10.0, 10.0])
     case = crowd(rng, motion=rng.normal(0, 3, 4))
@@ -156,17 +156,20 @@ def idf1(scene, rows: Tracks) -> float:
     return evaluate(scene.truth, rows).IDF1
 
 
-def test_a_camera_that_moves_is_followed_and_one_that_stands_costs_nothing():
+def test_moving_camera_is_followed_and_a_still_one_costs_nothing():
     rng = np.random.default_rng(2)
     still = street()
     moved = street(handheld(100, rng))
-    scores = {(scene, kind): idf1(made, tracked(made, kind)[0]) for scene, made in (("still", still), ("moved", moved))
-              for kind in ("none", "estimated")}  # fmt: skip
+    scores = {
+        (scene, kind): idf1(made, tracked(made, kind)[0])
+        for scene, made in (("still", still), ("moved", moved))
+        for kind in ("none", "estimated")
+    }
     assert scores["moved", "estimated"] > scores["moved", "none"] + 0.05
     assert scores["still", "estimated"] > scores["still", "none"] - 0.01
 
 
-def test_given_motion_is_followed_where_it_holds_and_left_alone_where_it_does_not():
+def test_given_motion_is_followed_only_if_it_fits():
     """The right matrices, and those of the other direction, of five frames later and of another
     walk.
     """
@@ -191,10 +194,9 @@ def test_given_motion_is_followed_where_it_holds_and_left_alone_where_it_does_no
 
 
 def test_a_motion_is_a_similarity_about_the_middle(rng):
-    rule = CommonMotion(frame_size=(640.0, 480.0))
     for motion in rng.normal(0, 8, (20, 4)):
-        np.testing.assert_allclose(rule._motion(rule._warp(motion)), motion, atol=1e-9)
-    assert len(rule._warp(np.zeros(4))) == 0
-    # What a damaged state says of the zoom is no overflow.
-    assert np.isfinite(rule._warp(np.array([0.0, 0.0, 1e7, 0.0]))).all()
-    np.testing.assert_array_equal(rule._motion(np.zeros((0, 3))), 0)
+        np.testing.assert_allclose(motion_of(similarity(motion, FRAME), FRAME), motion, atol=1e-9)
+    assert len(similarity(np.zeros(4), FRAME)) == 0
+    # A damaged state with a huge zoom does not overflow.
+    assert np.isfinite(similarity(np.array([0.0, 0.0, 1e7, 0.0]), FRAME)).all()
+    np.testing.assert_array_equal(motion_of(np.zeros((0, 3)), FRAME), 0)

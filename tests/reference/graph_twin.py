@@ -131,8 +131,18 @@ def led_back(motion, sensor, state, cov, measured, dt):
     out = []
     for count in range(1, n + 1):
         # x_j for j = 1 … count steps back as a linear map of (x_0, w_1, …, w_count)
-        maps = [np.hstack([powers[j], *(-powers[j - i + 1] if i <= j else np.zeros((d, d)) for i in range(1, count + 1))])
-                for j in range(1, count + 1)]  # fmt: skip
+        maps = [
+            np.hstack(
+                [
+                    powers[j],
+                    *(
+                        -powers[j - i + 1] if i <= j else np.zeros((d, d))
+                        for i in range(1, count + 1)
+                    ),
+                ]
+            )
+            for j in range(1, count + 1)
+        ]
         sources = np.zeros(((count + 1) * d, (count + 1) * d))
         sources[:d, :d] = cov
         for i in range(1, count + 1):

@@ -214,10 +214,26 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled)
                 *([(prior, True, 0)] if prior else []),
             ]
             genuine = np.clip(start + log_odds[j], -8, 8) if lasting else start
-            out.append((-1, exists, [
-                Hypothesis(w, mean, cov, static, 0.0, j, freedom=s.noise_freedom, motion=k, genuine=genuine)
-                for w, static, k in kinds
-            ]))  # fmt: skip
+            out.append(
+                (
+                    -1,
+                    exists,
+                    [
+                        Hypothesis(
+                            w,
+                            mean,
+                            cov,
+                            static,
+                            0.0,
+                            j,
+                            freedom=s.noise_freedom,
+                            motion=k,
+                            genuine=genuine,
+                        )
+                        for w, static, k in kinds
+                    ],
+                )
+            )
     return out, false
 
 

@@ -170,7 +170,7 @@ class MCMC(Filter[JointSamples]):
         else:
             box = np.zeros((0, 4))
         can = make_options(candidate, which, member, weight, absent, np.ascontiguousarray(box))
-        pairs = _rivals(can.first, can.seen_by)
+        pairs = _rivals(can.first, can.measurement)
         chain = Chain(
             self.burn_in,
             self.thin,
@@ -236,13 +236,13 @@ def _entries(
     return candidate[alive], which[alive], member[alive], entry[alive], x
 
 
-def _rivals(first: I8, seen_by: I8) -> I8:
+def _rivals(first: I8, measurement: I8) -> I8:
     """(K, 2) pairs of candidates that may have given the same measurement, a < b."""
     candidate = np.repeat(np.arange(len(first) - 1), np.diff(first))
-    order = np.argsort(seen_by, kind="stable")
-    order = order[seen_by[order] >= 0]
+    order = np.argsort(measurement, kind="stable")
+    order = order[measurement[order] >= 0]
     parts = [np.zeros((0, 2), np.int64)]
-    for some in np.split(candidate[order], np.flatnonzero(np.diff(seen_by[order])) + 1):
+    for some in np.split(candidate[order], np.flatnonzero(np.diff(measurement[order])) + 1):
         one, two = np.triu_indices(len(some), 1)
         parts.append(np.stack([some[one], some[two]], axis=1))
     return np.unique(np.concatenate(parts), axis=0)

@@ -1,5 +1,4 @@
-"""Which measurement belongs to which track: clusters that compete, the k best assignments, and
-marginal probabilities.
+"""Data association: clusters of competing tracks, the k best assignments, marginal probabilities.
 
 *Assignment* by shortest augmenting paths (Jonker and Volgenant). Rows may stay unassigned at gain
 0. Dual variables certify that the total gain is the maximum: u_r + v_c ≤ −gain on every edge, with
@@ -8,10 +7,10 @@ and 0 where the column is free.
 
 *The k best assignments* (Murty 1968) over all hypotheses of a cluster. Every measurement goes to a
 track or to none, every track takes one at most. The best assignment of each hypothesis is a node;
-the best node of all is given out and what remains of its set is divided: the s-th part has the
-first s measurements where the node has them and the s-th elsewhere. Assignments below a share of
-the best, or below those that will fill the remaining places, are not needed; and the dual variables
-of a node bound what a part can gain before it is solved.
+the best node of all is returned and what remains of its set is partitioned: the s-th part assigns
+the first s measurements as the node does and the s-th differently. Assignments below a share of the
+best, or below those that will fill the remaining places, are not needed; and the dual variables of
+a node bound what a part can gain before it is solved.
 
 *Marginal probabilities* by loopy belief propagation [W14; W15]. With ψ_e the odds of a pair e =
 (target, measurement) against the target being missed and the measurement being no earlier target's,
@@ -38,26 +37,26 @@ from phdtrack.kernels.gaussian import records
 # A column without a row, and one that no row may take any more.
 UNUSED = -1
 CLOSED = -2
-# What a search has seen of a column: nothing, that an edge leads to it, the shortest path to it.
-UNSEEN = 0
-TOUCHED = 1
-REACHED = 2
-# A place for a node: without one, with one, with one that was given out.
+# A column in a search: no edge leads to it yet; its path may still become shorter; its path is the
+# shortest.
+UNVISITED = 0
+QUEUED = 1
+SCANNED = 2
+# A place for a node: empty, with a node, with a node that was returned.
 FREE = 0
 OPEN = 1
 DONE = 2
-# Rounds at most, and the change of every message below which they are enough.
+# Messages are passed at most so often, and until none changes by more than this.
 ROUNDS = 50
 SETTLED = 1e-6
-# A pair: its odds ψ and its messages, of which the first is at the end the probability that the
-# target has the measurement; its two ends; and a number that all pairs share which are joined by
-# targets and measurements.
+# A pair: its odds ψ and its messages, of which μ becomes the marginal probability of the pair; its
+# two ends; and the number of its island, a connected component of targets and measurements.
 EDGE = records("odds mu nu", "target measurement island")
 
 
 class Edges(NamedTuple):
-    """Row r may have the columns target[start[r]:start[r + 1]], at these gains; columns below 0
-    count for none.
+    """Edges of row r to the columns target[start[r]:start[r + 1]], with gains; columns below 0 are
+    ignored.
     """
 
     start: I8
@@ -66,8 +65,8 @@ class Edges(NamedTuple):
 
 
 class Matching(NamedTuple):
-    """``column`` (m,) of each row, −1: none; ``row`` (n,) of each column, or UNUSED or CLOSED;
-    ``u`` (m,) and ``v`` (n,).
+    """A matching: ``column`` (m,) of each row, −1: none; ``row`` (n,) of each column, or UNUSED or
+    CLOSED; dual variables ``u`` (m,) and ``v`` (n,).
     """
 
     column: I8
@@ -77,14 +76,14 @@ class Matching(NamedTuple):
 
 
 class Paths(NamedTuple):
-    """Working space of searches, each (n,): rows and lengths of the paths, columns seen (all 0 at
-    first), and which.
+    """Working space of a search, each (n,): the last row and the length of the path to each column,
+    its status (all UNVISITED between searches), and the columns that were visited.
     """
 
     via: I8
     distance: F8
-    seen: I8
-    touched: I8
+    status: I8
+    visited: I8
 
 
 class Nodes(NamedTuple):
@@ -107,95 +106,41 @@ class Nodes(NamedTuple):
 
 @njit(**INNER)
 def new_paths(columns: int) -> Paths:
-    """Working space."""
-    whole = np.zeros((3, columns), np.int64)
-    return Paths(whole[0], np.empty(columns), whole[1], whole[2])
+    """Working space for a search over so many columns."""
+    zeros = np.zeros((3, columns), np.int64)
+    return Paths(zeros[0], np.empty(columns), zeros[1], zeros[2])
 
 
 @njit(**INNER)
 def augment(edges: Edges, row: int, first: int, banned: Bool, x: Matching, paths: Paths) -> bool:
-    """Assign ``row`` too, in place, by the shortest augmenting path; False where it cannot be done.
+    """Assign ``row`` too, in place, by the shortest augmenting path; False if it cannot be done.
 
-    Row ``first`` may not have the columns ``banned``, and not stay unassigned where the last of
-    them is true.
+    Row ``first`` may not have the columns ``banned``, and not stay unassigned if the last of them
+    is true.
     """
-    start, target, gain = edges
-    u = x.u
-    v = x.v
-    via, distance, seen, touched = paths
-    u[row] = np.inf if row == first and banned[-1] else 0.0
-    for e in range(start[row], start[row + 1]):
-        c = target[e]
-        if (
-            c >= 0
-            and x.row[c] != CLOSED
-            and not (row == first and banned[c])
-            and -gain[e] - v[c] < u[row]
-        ):
-            u[row] = -gain[e] - v[c]
-    if u[row] == np.inf:
+    x.u[row] = _dual_of_row(edges, row, row == first, banned, x)
+    if x.u[row] == np.inf:
         return False
-    # The best end so far: the row that it leaves unassigned, or a free column.
-    here = row
-    reached = 0.0
-    count = 0
-    shortest = np.inf
-    loser = -1
-    end = -1
-    while True:
-        if not (here == first and banned[-1]) and reached - u[here] < shortest:
-            shortest = reached - u[here]
-            loser = here
-        for e in range(start[here], start[here + 1]):
-            c = target[e]
-            if c < 0 or seen[c] == REACHED or x.row[c] == CLOSED or (here == first and banned[c]):
-                continue
-            if seen[c] == UNSEEN:
-                seen[c] = TOUCHED
-                touched[count] = c
-                distance[c] = np.inf
-                count += 1
-            along = reached - gain[e] - u[here] - v[c]
-            if along < distance[c]:
-                distance[c] = along
-                via[c] = here
-        nearest = np.inf
-        chosen = -1
-        for t in range(count):
-            c = touched[t]
-            if seen[c] == TOUCHED and distance[c] < nearest:
-                nearest = distance[c]
-                chosen = c
-        if chosen < 0 or shortest <= nearest:
-            break
-        seen[chosen] = REACHED
-        if x.row[chosen] < 0:
-            shortest = nearest
-            end = chosen
-            break
-        here = x.row[chosen]
-        reached = nearest
-    u[row] += shortest
-    for t in range(count):
-        c = touched[t]
-        if seen[c] == REACHED and x.row[c] >= 0:
-            u[x.row[c]] += shortest - distance[c]
-            v[c] -= shortest - distance[c]
-        seen[c] = UNSEEN
-    if shortest == np.inf:
+    length, end, loser, visited = _shortest_path(edges, row, first, banned, x, paths)
+    # Update the dual variables, so that slacks along the path become 0.
+    x.u[row] += length
+    for t in range(visited):
+        c = paths.visited[t]
+        if paths.status[c] == SCANNED and x.row[c] >= 0:
+            x.u[x.row[c]] += length - paths.distance[c]
+            x.v[c] -= length - paths.distance[c]
+        paths.status[c] = UNVISITED
+    if length == np.inf:
         return False
     if end < 0:
-        if loser == row:
-            end = -1
-        else:
+        if loser != row:
             end = x.column[loser]
         x.column[loser] = -1
     # Flip the matching along the path, from its end back to the new row.
     while end >= 0:
-        owner = via[end]
-        if owner == row:
-            before = -1
-        else:
+        owner = paths.via[end]
+        before = -1
+        if owner != row:
             before = x.column[owner]
         x.column[owner] = end
         x.row[end] = owner
@@ -204,9 +149,103 @@ def augment(edges: Edges, row: int, first: int, banned: Bool, x: Matching, paths
 
 
 @njit(**INNER)
+def _dual_of_row(edges: Edges, row: int, restricted: bool, banned: Bool, x: Matching) -> float:
+    """The dual variable of a new row, the smallest slack of its edges; ∞ if it has no choice.
+
+    The columns ``banned`` apply if the row is ``restricted``.
+    """
+    dual = 0.0
+    if restricted and banned[-1]:
+        dual = np.inf
+    for e in range(edges.start[row], edges.start[row + 1]):
+        c = edges.target[e]
+        if c < 0 or x.row[c] == CLOSED or (restricted and banned[c]):
+            continue
+        slack = -edges.gain[e] - x.v[c]
+        if slack < dual:
+            dual = slack
+    return dual
+
+
+@njit(**INNER)
+def _shortest_path(
+    edges: Edges, row: int, first: int, banned: Bool, x: Matching, paths: Paths
+) -> tuple[float, int, int, int]:
+    """The length of the shortest augmenting path from ``row``, and where it ends (Dijkstra).
+
+    Returns the length, the free column at its end or −1, the row that it leaves unassigned if there
+    is no such column, and how many columns were visited.
+    """
+    _, distance, status, visited = paths
+    here = row
+    reached = 0.0
+    count = 0
+    shortest = np.inf
+    loser = -1
+    end = -1
+    while True:
+        # A path may end in a row that stays unassigned.
+        if not (here == first and banned[-1]) and reached - x.u[here] < shortest:
+            shortest = reached - x.u[here]
+            loser = here
+        count = _visit(edges, here, reached, here == first, banned, x, paths, count)
+        nearest = np.inf
+        chosen = -1
+        for t in range(count):
+            c = visited[t]
+            if status[c] == QUEUED and distance[c] < nearest:
+                nearest = distance[c]
+                chosen = c
+        if chosen < 0 or shortest <= nearest:
+            break
+        status[chosen] = SCANNED
+        if x.row[chosen] < 0:
+            shortest = nearest
+            end = chosen
+            break
+        here = x.row[chosen]
+        reached = nearest
+    return shortest, end, loser, count
+
+
+@njit(**INNER)
+def _visit(
+    edges: Edges,
+    here: int,
+    reached: float,
+    restricted: bool,
+    banned: Bool,
+    x: Matching,
+    paths: Paths,
+    count: int,
+) -> int:
+    """Shorten the paths to the columns of row ``here``, to which the path has length ``reached``.
+
+    Returns how many columns were visited so far, of which there were ``count``.
+    """
+    via, distance, status, visited = paths
+    for e in range(edges.start[here], edges.start[here + 1]):
+        c = edges.target[e]
+        if c < 0 or status[c] == SCANNED or x.row[c] == CLOSED or (restricted and banned[c]):
+            continue
+        if status[c] == UNVISITED:
+            status[c] = QUEUED
+            visited[count] = c
+            distance[c] = np.inf
+            count += 1
+        length = reached - edges.gain[e] - x.u[here] - x.v[c]
+        if length < distance[c]:
+            distance[c] = length
+            via[c] = here
+    return count
+
+
+@njit(**INNER)
 def gain_of(edges: Edges, row: int, column: int) -> float:
-    """The gain of the edge from a row to a column; 0 where the column is −1."""
-    for e in range(edges.start[row], edges.start[row + 1] if column >= 0 else 0):
+    """The gain of the edge from a row to a column; 0 if the column is −1."""
+    if column < 0:
+        return 0.0
+    for e in range(edges.start[row], edges.start[row + 1]):
         if edges.target[e] == column:
             gain: float = edges.gain[e]
             return gain
@@ -215,11 +254,11 @@ def gain_of(edges: Edges, row: int, column: int) -> float:
 
 @njit(**INNER)
 def _assign(edges: Edges, n: int, first: int, banned: Bool, x: Matching, paths: Paths) -> float:
-    """Assign the rows from ``first`` on to n columns; the sum of all rows' gains, −∞ where it
-    cannot be done.
+    """Assign the rows from ``first`` on to n columns; the sum of all rows' gains, −∞ if it cannot
+    be done.
 
-    Rows before ``first`` have the columns that ``x`` says, in which the assignment is written; row
-    ``first`` may not have the columns ``banned`` as of `augment`.
+    Rows before ``first`` keep their columns in ``x``, into which the assignment is written; row
+    ``first`` may not have the columns ``banned``, see `augment`.
     """
     for c in range(n):
         x.row[c] = UNUSED
@@ -240,11 +279,10 @@ def _assign(edges: Edges, n: int, first: int, banned: Bool, x: Matching, paths: 
 
 @njit(**ENTRY)
 def best_pairs(row: I8, column: I8, gain: F8, count: int) -> I8:
-    """(count,) the column of each of ``count`` rows, −1: none, so that the sum of the gains is the
-    largest.
+    """(count,) the column of each of ``count`` rows, −1: none, with the largest sum of gains.
 
-    ``row``, ``column``, ``gain`` (E,): the pairs that there may be, in the order of their rows;
-    columns are below ``count``.
+    ``row``, ``column``, ``gain`` (E,): the possible pairs, in the order of their rows; columns are
+    below ``count``.
     """
     start = np.zeros(count + 1, np.int64)
     none = np.zeros(count + 1, np.bool_)
@@ -261,8 +299,8 @@ def best_pairs(row: I8, column: I8, gain: F8, count: int) -> I8:
 
 @njit(**INNER)
 def _bound(edges: Edges, row: int, fixed: int, banned: Bool, choice: I8, u: F8, v: F8) -> float:
-    """What a node loses at least if ``row`` may no longer have what it has: the smallest slack of
-    what else it could have.
+    """A lower bound of what a node loses if ``row`` must change its column: the smallest slack of
+    its alternatives.
 
     ``fixed`` is the row of the node to which ``banned`` applies; the columns of rows before ``row``
     are taken.
@@ -278,55 +316,56 @@ def _bound(edges: Edges, row: int, fixed: int, banned: Bool, choice: I8, u: F8, 
         taken = False
         for before in range(row):
             taken = taken or choice[before] == c
-        least = least if taken else slack
+        if not taken:
+            least = slack
     return max(least, 0.0)
 
 
 @njit(**INNER)
 def _place(status: I8, value: F8, fresh: float) -> int:
-    """A place for a node of value ``fresh``: a free one, or that of the worst open one if that is
-    worse; else −1.
+    """A place for a node of value ``fresh``: a free one, else that of the worst open node if that
+    is worse, else −1.
     """
     worst = fresh
-    found = -1
+    place = -1
     for i in range(status.size):
         if status[i] == FREE:
             return i
         if status[i] == OPEN and value[i] < worst:
             worst = value[i]
-            found = i
-    return found
+            place = i
+    return place
 
 
 @njit(**INNER)
 def _keep(
     nodes: Nodes, total: float, least: float, parent: int, fixed: int, banned: Bool, x: Matching
 ) -> None:
-    """Keep the assignment as an open node, where its value ``total`` is ``least`` or more and there
+    """Keep the assignment as an open node, if its value ``total`` is at least ``least`` and there
     is room.
     """
-    if total > -np.inf and total >= least:
-        at = _place(nodes.status, nodes.value, total)
-    else:
-        at = -1
-    if at >= 0:
-        nodes.status[at] = OPEN
-        nodes.value[at] = total
-        nodes.parent[at] = parent
-        nodes.fixed[at] = fixed
-        for r in range(x.column.size):
-            nodes.choice[at, r] = x.column[r]
-            nodes.u[at, r] = x.u[r]
-        for c in range(x.v.size):
-            nodes.v[at, c] = x.v[c]
-            nodes.banned[at, c] = banned[c]
-        nodes.banned[at, -1] = banned[-1]
+    if total == -np.inf or total < least:
+        return
+    at = _place(nodes.status, nodes.value, total)
+    if at < 0:
+        return
+    nodes.status[at] = OPEN
+    nodes.value[at] = total
+    nodes.parent[at] = parent
+    nodes.fixed[at] = fixed
+    for r in range(x.column.size):
+        nodes.choice[at, r] = x.column[r]
+        nodes.u[at, r] = x.u[r]
+    for c in range(x.v.size):
+        nodes.v[at, c] = x.v[c]
+        nodes.banned[at, c] = banned[c]
+    nodes.banned[at, -1] = banned[-1]
 
 
 @njit(**INNER)
 def _write_edges(gain: F8, held: I8, edges: Edges, number: I8) -> int:
-    """How many tracks a hypothesis holds; their numbers into ``number``, and the edges of the
-    measurements to them.
+    """Write the numbers of the tracks that a hypothesis holds, and the edges of the measurements to
+    them; returns how many tracks there are.
     """
     n = 0
     count = 0
@@ -354,8 +393,8 @@ def _divide(
     x: Matching,
     paths: Paths,
 ) -> None:
-    """Keep the parts of what remains of a node's set: the s-th has the first rows as the node and
-    the s-th otherwise.
+    """Partition what remains of a node's set: the s-th part keeps the node's first rows and changes
+    the s-th.
 
     ``limits``: the value of leaving all rows unassigned, and the least value that is kept.
     """
@@ -371,7 +410,7 @@ def _divide(
         if most < limits[1] or _place(nodes.status, nodes.value, most) < 0:
             continue
         for c in range(banned.size):
-            banned[c] = old[c] if row == fixed else False
+            banned[c] = row == fixed and old[c]
         # The last place stands for no column.
         banned[choice[row]] = True
         for r in range(row):
@@ -386,20 +425,26 @@ def best_assignments(
 ) -> tuple[I8, I8, F8]:
     """The best assignments of the measurements of a cluster, over all its hypotheses, best first.
 
-    ``gain`` (m, A): log-weight of each measurement from each of the cluster's tracks, in all their
-    forms, against its being unassigned and the track's being missed; −∞ outside the gate.
+    ``gain`` (m, A): log-weight of each measurement as detection of each single-target hypothesis of
+    the cluster, against its being unassigned and the track's being missed; −∞ outside the gate.
     ``unassigned`` (m,): log-weight of each measurement as a false alarm or a new target. ``held``
     (P, T): which of the A each hypothesis holds, −1: none. ``base`` (P,): log-weight of each
-    hypothesis if all its tracks are missed. At ``most`` so many are given, and none whose
-    log-weight is below the best's plus ``log_ratio`` (below 0): the hypothesis (K,) of each, which
-    of the A each measurement goes to (K, m), −1: none, and their log-weights (K,).
+    hypothesis if all its tracks are missed. Returns at ``most`` so many, and none whose log-weight
+    is below the best's plus ``log_ratio`` (below 0): the hypothesis (K,) of each, which of the A
+    each measurement is assigned to (K, m), −1: none, and their log-weights (K,).
     """
     m = gain.shape[0]
     width = held.shape[1]
     nodes = Nodes(
-        np.zeros(most, np.int64), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64),
-        np.empty((most, m), np.int64), np.empty((most, m)), np.empty((most, width)), np.empty((most, width + 1), np.bool_),
-    )  # fmt: skip
+        np.zeros(most, np.int64),
+        np.empty(most),
+        np.empty(most, np.int64),
+        np.empty(most, np.int64),
+        np.empty((most, m), np.int64),
+        np.empty((most, m)),
+        np.empty((most, width)),
+        np.empty((most, width + 1), np.bool_),
+    )
     x = Matching(np.empty(m, np.int64), np.empty(width, np.int64), np.empty(m), np.empty(width))
     edges = Edges(np.zeros(m + 1, np.int64), np.empty(m * width, np.int64), np.empty(m * width))
     paths = new_paths(width)
@@ -415,8 +460,8 @@ def best_assignments(
     parent = np.empty(most, np.int64)
     choice = np.empty((most, m), np.int64)
     weight = np.empty(most)
-    given = 0
-    while given < most:
+    count = 0
+    while count < most:
         node = -1
         for i in range(most):
             if nodes.status[i] == OPEN and (node < 0 or nodes.value[i] > nodes.value[node]):
@@ -426,19 +471,19 @@ def best_assignments(
         nodes.status[node] = DONE
         p = nodes.parent[node]
         n = _write_edges(gain, held[p], edges, number)
-        parent[given] = p
-        weight[given] = nodes.value[node]
+        parent[count] = p
+        weight[count] = nodes.value[node]
         for j in range(m):
             c = nodes.choice[node, j]
-            choice[given, j] = number[c] if c >= 0 else -1
-        given += 1
+            choice[count, j] = number[c] if c >= 0 else -1
+        count += 1
         _divide(nodes, node, edges, n, (base[p] + rest, best + log_ratio), x, paths)
-    return parent[:given], choice[:given], weight[:given]
+    return parent[:count], choice[:count], weight[:count]
 
 
 @njit(**INNER)
 def root(parent: I8, i: int) -> int:
-    """The representative of ``i``; ways to it are halved in place."""
+    """The representative of the set of ``i`` (union-find); halves the paths to it in place."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -447,7 +492,7 @@ def root(parent: I8, i: int) -> int:
 
 @njit(**INNER)
 def unite(parent: I8, i: int, j: int) -> None:
-    """Make one of the sets of ``i`` and ``j``; the smaller number represents it."""
+    """Unite the sets of ``i`` and ``j``; the smaller number represents the union."""
     i = root(parent, i)
     j = root(parent, j)
     parent[max(i, j)] = min(i, j)
@@ -470,8 +515,8 @@ def numbered(parent: I8) -> I8:
 
 @njit(**ENTRY)
 def components(count: int, first: I8, second: I8) -> I8:
-    """(count,) the component of each vertex of a graph with edges ``first``–``second`` (E,), from 0
-    by first appearance.
+    """(count,) the connected component of each vertex of a graph with edges ``first``–``second``
+    (E,), numbered from 0 by first appearance.
     """
     parent = np.arange(count)
     for e in range(first.size):
@@ -482,26 +527,26 @@ def components(count: int, first: I8, second: I8) -> I8:
 
 @njit(**ENTRY)
 def competing(leaf: I8, trace: I8, most: int) -> I8:
-    """(T,) the component of each track of a cluster; tracks that have ever taken the same
-    measurement are in one.
+    """(T,) the component of each track of a cluster; tracks that share a measurement in any
+    hypothesis are in one.
 
-    ``leaf`` (H, T): the form in which each hypothesis holds each track, −1: not at all. ``trace``
-    (L, W): the measurement, below ``most``, that each form rests on in each frame of the window,
-    −1: none.
+    ``leaf`` (H, T): the single-target hypothesis of each track in each global hypothesis, −1: none.
+    ``trace`` (L, W): the measurement, below ``most``, of each leaf in each frame of the window, −1:
+    none.
     """
     hypotheses, tracks = leaf.shape
     window = trace.shape[1]
     parent = np.arange(tracks)
     owner = np.full((window, most), -1, np.int64)
-    seen = np.zeros(trace.shape[0], np.bool_)
+    done = np.zeros(trace.shape[0], np.bool_)
     for h in range(hypotheses):
         for t in range(tracks):
-            form = leaf[h, t]
-            if form < 0 or seen[form]:
+            own = leaf[h, t]
+            if own < 0 or done[own]:
                 continue
-            seen[form] = True
+            done[own] = True
             for w in range(window):
-                j = trace[form, w]
+                j = trace[own, w]
                 if j < 0:
                     continue
                 if owner[w, j] < 0:
@@ -513,14 +558,14 @@ def competing(leaf: I8, trace: I8, most: int) -> I8:
 
 
 @njit(**INNER)
-def _start(edges: Records, live: I8, parent: I8, targets: int) -> None:
-    """Write the first messages, the islands, and the numbers of the edges into ``live``."""
+def _start(edges: Records, active: I8, parent: I8, targets: int) -> None:
+    """Write the first messages, the islands, and the numbers of the edges into ``active``."""
     for i in range(parent.size):
         parent[i] = i
     for e in range(edges.size):
         edge = edges[e]
         edge.nu = 1.0
-        live[e] = e
+        active[e] = e
         unite(parent, edge.target, targets + edge.measurement)
     for e in range(edges.size):
         edges[e].island = root(parent, edges[e].target)
@@ -528,69 +573,92 @@ def _start(edges: Records, live: I8, parent: I8, targets: int) -> None:
 
 @njit(**INNER)
 def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
-    """The probabilities that each target has no measurement, and (N,) that each measurement is no
-    earlier target's.
+    """Marginal probabilities by loopy belief propagation [W14; W15].
 
-    ``edges`` (E,) of `EDGE`: odds ψ ≥ 0, target and measurement are given, no pair twice; the rest
-    is written.
+    ``edges`` (E,) of `EDGE`, no pair twice, with odds ψ ≥ 0, target and measurement; μ becomes the
+    probability of each pair, the rest is scratch. Returns the probabilities (T,) that each target
+    has no measurement, and (N,) that each measurement is no earlier target's.
     """
-    seen = np.empty(targets)
-    claimed = np.empty(measurements)
-    moved = np.empty(targets)
-    live = np.empty(edges.size, np.int64)
+    by_target = np.empty(targets)
+    by_measurement = np.empty(measurements)
+    change = np.empty(targets)
+    active = np.empty(edges.size, np.int64)
     count = edges.size
-    turn = 0 * targets
-    _start(edges, live, np.empty(targets + measurements, np.int64), targets)
+    _start(edges, active, np.empty(targets + measurements, np.int64), targets)
     for j in range(measurements):
-        claimed[j] = 0.0
-    while True:
-        for k in range(count):
-            edge = edges[live[k]]
-            seen[edge.target] = 0.0
-            claimed[edge.measurement] = 0.0
-            moved[edge.island] = 0.0
-        for k in range(count):
-            edge = edges[live[k]]
-            seen[edge.target] += edge.odds * edge.nu
-        for k in range(count):
-            edge = edges[live[k]]
-            others = seen[edge.target] - edge.odds * edge.nu
-            if others > 0.0:
-                edge.mu = edge.odds / (1.0 + others)
-            else:
-                edge.mu = edge.odds
-            claimed[edge.measurement] += edge.mu
-        turn += 1
-        change = 0.0
-        for k in range(count):
-            edge = edges[live[k]]
-            others = claimed[edge.measurement] - edge.mu
-            if others > 0.0:
-                value = 1.0 / (1.0 + others)
-            else:
-                value = 1.0
-            step = abs(value - edge.nu)
-            edge.nu = value
-            moved[edge.island] = step if step > moved[edge.island] else moved[edge.island]
-            change = step if step > change else change
-        if change <= SETTLED or turn == ROUNDS:
+        by_measurement[j] = 0.0
+    for _ in range(ROUNDS):
+        _send_to_measurements(edges, active, count, by_target, by_measurement)
+        largest = _send_to_targets(edges, active, count, by_measurement, change)
+        if largest <= SETTLED:
             break
-        # Where nothing has changed, nothing will: most islands are small, and one that is not would
-        # keep all others waiting.
-        left = 0 * count
-        for k in range(count):
-            if moved[edges[live[k]].island] > 0.0:
-                live[left] = live[k]
-                left += 1
-        count = left
+        count = _still_changing(edges, active, count, change)
     for t in range(targets):
-        seen[t] = 0.0
+        by_target[t] = 0.0
     for e in range(edges.size):
-        seen[edges[e].target] += edges[e].odds * edges[e].nu
+        by_target[edges[e].target] += edges[e].odds * edges[e].nu
     for e in range(edges.size):
-        edges[e].mu = edges[e].odds * edges[e].nu / (1.0 + seen[edges[e].target])
+        edges[e].mu = edges[e].odds * edges[e].nu / (1.0 + by_target[edges[e].target])
     for t in range(targets):
-        seen[t] = 1.0 / (1.0 + seen[t])
+        by_target[t] = 1.0 / (1.0 + by_target[t])
     for j in range(measurements):
-        claimed[j] = 1.0 / (1.0 + claimed[j])
-    return seen, claimed
+        by_measurement[j] = 1.0 / (1.0 + by_measurement[j])
+    return by_target, by_measurement
+
+
+@njit(**INNER)
+def _send_to_measurements(
+    edges: Records, active: I8, count: int, by_target: F8, by_measurement: F8
+) -> None:
+    """Compute μ of the active edges, and Σ μ of their measurements."""
+    for k in range(count):
+        edge = edges[active[k]]
+        by_target[edge.target] = 0.0
+        by_measurement[edge.measurement] = 0.0
+    for k in range(count):
+        edge = edges[active[k]]
+        by_target[edge.target] += edge.odds * edge.nu
+    for k in range(count):
+        edge = edges[active[k]]
+        others = by_target[edge.target] - edge.odds * edge.nu
+        edge.mu = edge.odds
+        # A difference of sums may be rounding below 0.
+        if others > 0.0:
+            edge.mu = edge.odds / (1.0 + others)
+        by_measurement[edge.measurement] += edge.mu
+
+
+@njit(**INNER)
+def _send_to_targets(
+    edges: Records, active: I8, count: int, by_measurement: F8, change: F8
+) -> float:
+    """Compute ν of the active edges; the largest change, and that of each island in ``change``."""
+    largest = 0.0
+    for k in range(count):
+        change[edges[active[k]].island] = 0.0
+    for k in range(count):
+        edge = edges[active[k]]
+        others = by_measurement[edge.measurement] - edge.mu
+        value = 1.0
+        if others > 0.0:
+            value = 1.0 / (1.0 + others)
+        step = abs(value - edge.nu)
+        edge.nu = value
+        change[edge.island] = max(change[edge.island], step)
+        largest = max(largest, step)
+    return largest
+
+
+@njit(**INNER)
+def _still_changing(edges: Records, active: I8, count: int, change: F8) -> int:
+    """Drop the edges of islands without any change from ``active``; returns how many are left.
+
+    Where nothing has changed, nothing will: most islands are small, and one that is not would keep
+    all others waiting.
+    """
+    left = 0 * count
+    for k in range(count):
+        if change[edges[active[k]].island] > 0.0:
+            active[left] = active[k]
+            left += 1
+    return left

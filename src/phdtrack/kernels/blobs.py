@@ -1,9 +1,7 @@
-"""Masks cleaned, and their components measured: where they are, where one falls into two, how much
-of an edge they have.
+"""Cleaning of masks, and measures of their components: boxes, valleys between two objects, edges.
 
 A mask is cleaned with 64 pixels in a number, which takes a tenth of the time of OpenCV's bytes. A
-frame has many components, and they are small: several calls of OpenCV for each take longer than the
-work that these do.
+frame has many small components: several calls of OpenCV for each take longer than their work.
 """
 
 from __future__ import annotations
@@ -18,14 +16,13 @@ from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, VECTOR, D, F
 
 _2 = F(2)
-# Pixels in a number; the lowest bit of each of its bytes, all others but the highest, all; bit k of
-# byte k.
+# Pixels in a number. Masks: the lowest bit of each byte, all bits of each byte except the highest,
+# all bits, bit k of byte k.
 _BITS = 64
 _FLAGS = D(0x0101010101010101)
 _FULL = D(0x7F7F7F7F7F7F7F7F)
 _ALL = D(2**64 - 1)
 _EACH = D(0x8040201008040201)
-_0 = D(0)
 _1 = D(1)
 _2_BITS = D(2)
 _4 = D(4)
@@ -36,9 +33,9 @@ _BYTE = D(255)
 
 
 class Cleaning(NamedTuple):
-    """How a mask is cleaned: ``peel``, half the side of the square of the erosion, and half the
-    width of each row of the elements of opening and closing, which are symmetric and have an odd
-    number of rows. All are below 64."""
+    """Structuring elements that clean a mask: ``peel``, half the side of the square of the erosion,
+    and half the width of each row of the elements of opening and closing, which are symmetric and
+    have an odd number of rows. All are below 64."""
 
     peel: int
     opening: I8
@@ -47,10 +44,10 @@ class Cleaning(NamedTuple):
 
 @njit(**ENTRY)
 def cleaned(mask: U1, cleaning: Cleaning, margin: int) -> tuple[U1, U1]:
-    """(H, W) 255 where a mask (H, W) is left by erosion, opening and closing, and at most
-    ``margin`` pixels from there.
+    """(H, W) the mask (H, W) after erosion, opening and closing, 255 for foreground, and (H, W) 255
+    at most ``margin`` pixels from it.
 
-    Outside of the picture all is as it would suit, as in OpenCV.
+    Pixels outside of the picture never change the result, as in OpenCV.
     """
     width = mask.shape[1]
     bits = _packed(mask)
@@ -67,7 +64,8 @@ def measured(points: I4, ends: I8) -> tuple[I8, F8]:
     """(n, 4) left, top, right and bottom, one beyond the last, of n closed contours, and (n,) the
     areas that they enclose.
 
-    ``points`` (m, 2) are all their corners, those of a contour up to its of the ``ends`` (n,).
+    ``points`` (m, 2): all their corners, one contour after the other; ``ends`` (n,): the end of
+    each.
     """
     boxes = np.empty((len(ends), 4), np.int64)
     areas = np.zeros(len(ends))
@@ -85,8 +83,10 @@ def measured(points: I4, ends: I8) -> tuple[I8, F8]:
             areas[i] += x * b - a * y
             x = a
             y = b
-            boxes[i, 0], boxes[i, 1] = min(boxes[i, 0], x), min(boxes[i, 1], y)
-            boxes[i, 2], boxes[i, 3] = max(boxes[i, 2], x + 1), max(boxes[i, 3], y + 1)
+            boxes[i, 0] = min(boxes[i, 0], x)
+            boxes[i, 1] = min(boxes[i, 1], y)
+            boxes[i, 2] = max(boxes[i, 2], x + 1)
+            boxes[i, 3] = max(boxes[i, 3], y + 1)
         areas[i] = abs(areas[i]) / 2
         start = end
     return boxes, areas
@@ -94,12 +94,12 @@ def measured(points: I4, ends: I8) -> tuple[I8, F8]:
 
 @njit(**ENTRY)
 def valley(filled: U1, depth: float, smooth: int, margin: int, least: float) -> int:
-    """The column at which ``filled`` (h, w), not 0 in a component, is lowest between two higher
-    parts; −1: none is so deep.
+    """The column at which a component, ``filled`` (h, w) not 0, is lowest between two higher parts;
+    −1: none is deep enough.
 
     ``depth``: the column has at most this share of the lower of the highest columns on its two
-    sides. ``smooth``: columns over whose windows the mean is taken, odd. ``margin``, ``least``:
-    columns, and the share of the area, on either side at the least.
+    sides. ``smooth``: columns of the moving average, odd. ``margin``, ``least``: least number of
+    columns, and share of the area, on either side.
     """
     height, width = filled.shape
     counts = np.zeros(width)
@@ -117,17 +117,17 @@ def valley(filled: U1, depth: float, smooth: int, margin: int, least: float) -> 
     left = 0.0
     for j in range(width - 2, -1, -1):
         right[j] = max(right[j], right[j + 1])
-    found = -1
+    best = -1
     lowest = depth
     for j in range(width):
         before = before + profile[j]
         left = max(left, profile[j])
         inside = margin <= j < width - margin and least * total < before < (1 - least) * total
         ratio = profile[j] / max(min(left, right[j]), 1.0)
-        if inside and (ratio < lowest or (found < 0 and ratio == lowest)):
-            found = j
+        if inside and (ratio < lowest or (best < 0 and ratio == lowest)):
+            best = j
             lowest = ratio
-    return found
+    return best
 
 
 @njit(**ENTRY)
@@ -159,7 +159,7 @@ def edges(now: U1, reference: F4, mask: U1, reach: int, boxes: I8) -> F8:
 def _gradient(
     picture: NDArray[Any], rows: tuple[int, int, int], columns: tuple[int, int, int]
 ) -> Any:
-    """Of the pixel in the middle of three rows and three columns."""
+    """The gradient (Sobel) at the pixel in the middle of three rows and three columns."""
     above, row, below = rows
     left, column, right = columns
     a = F(picture[above, left])
@@ -173,9 +173,7 @@ def _gradient(
 
 @njit(**INNER)
 def mirrored(k: int, size: int) -> int:
-    """The index within 0 … size − 1 that k is when the picture is mirrored at its outermost
-    pixels.
-    """
+    """The index in 0 … size − 1 of pixel k of a picture mirrored at its outermost pixels."""
     while k < 0 or k >= size:
         if size == 1:
             k = 0
@@ -188,12 +186,12 @@ def mirrored(k: int, size: int) -> int:
 
 @njit(**INNER)
 def _packed(mask: U1) -> U8:
-    """(H, W / 64, rounded up) the mask with bit j of number k for pixel 64 k + j."""
+    """(H, W / 64, rounded up) the mask in bits: bit j of number k is pixel 64 k + j."""
     height, width = mask.shape
     whole = width // 8
     out = np.zeros((height, (width + _BITS - 1) // _BITS), np.uint64)
     if width % 8 == 0:
-        # To take a row out of an array costs as much as to work on it.
+        # Taking a row out of an array costs as much as working on it.
         eights = mask.reshape(-1).view(np.uint64)
         bits = out.reshape(-1).view(np.uint8)
         for y in range(height):
@@ -209,7 +207,7 @@ def _packed(mask: U1) -> U8:
 
 @njit(**INNER)
 def _unpacked(bits: U8, width: int) -> U1:
-    """The mask (H, W) of 0 and 255."""
+    """The mask (H, W) of 0 and 255 from bits."""
     out = np.empty((len(bits), width), np.uint8)
     whole = width // 8
     if width % 8 == 0:
@@ -227,7 +225,7 @@ def _unpacked(bits: U8, width: int) -> U1:
 
 @njit(**VECTOR)
 def _gather(eights: U8, first: int, out: U1, start: int, count: int) -> None:
-    """Whether each byte of ``count`` numbers is not 0: eight bits side by side in a byte."""
+    """Pack the bytes of ``count`` numbers into bits, 1 for each that is not 0."""
     a = D(first)
     b = D(start)
     for k in range(D(count)):
@@ -242,7 +240,7 @@ def _gather(eights: U8, first: int, out: U1, start: int, count: int) -> None:
 
 @njit(**VECTOR)
 def _scatter(packed: U1, first: int, out: U8, start: int, count: int) -> None:
-    """A byte of 0 or 255 for each bit of ``count`` bytes."""
+    """Unpack the bits of ``count`` bytes into bytes of 0 or 255."""
     a = D(first)
     b = D(start)
     for k in range(D(count)):
@@ -252,7 +250,7 @@ def _scatter(packed: U1, first: int, out: U8, start: int, count: int) -> None:
 
 @njit(**INNER)
 def _eroded(bits: U8, width: int, element: I8) -> U8:
-    """Where an element lies within the foreground."""
+    """Erosion: the positions at which an element lies within the foreground."""
     out: U8 = _inverse(_dilated(_inverse(bits, width), width, element), width)
     return out
 
@@ -270,8 +268,25 @@ def _inverse(bits: U8, width: int) -> U8:
 
 
 @njit(**INNER)
+def _spread_row(bits: U8, ahead: np.uint64, back: np.uint64, spread: U8) -> None:
+    """Add the foreground shifted by ``ahead`` pixels to both sides; ``back`` = 64 − ``ahead``."""
+    last = bits.shape[1] - 1
+    for y in range(len(bits)):
+        for k in range(last + 1):
+            x = spread[y, k] | (bits[y, k] << ahead) | (bits[y, k] >> ahead)
+            if k > 0:
+                x |= bits[y, k - 1] >> back
+            if k < last:
+                x |= bits[y, k + 1] << back
+            spread[y, k] = x
+
+
+@njit(**INNER)
 def _dilated(bits: U8, width: int, element: I8) -> U8:
-    """Where an element meets the foreground: rows of so many pixels to both sides, below 64."""
+    """Dilation: the positions at which an element meets the foreground.
+
+    ``element``: half the width of each of its rows, below 64.
+    """
     height = len(bits)
     out = np.zeros(bits.shape, np.uint64)
     spread = bits.copy()
@@ -279,11 +294,8 @@ def _dilated(bits: U8, width: int, element: I8) -> U8:
     for reach in range(element.max() + 1):
         ahead = D(reach)
         back = D(_BITS - reach)
-        for y in range(height) if reach else range(0):
-            for k in range(last + 1):
-                x = spread[y, k] | (bits[y, k] << ahead) | (bits[y, k] >> ahead)
-                x |= bits[y, k - 1] >> back if k > 0 else _0
-                spread[y, k] = x | (bits[y, k + 1] << back if k < last else _0)
+        if reach > 0:
+            _spread_row(bits, ahead, back, spread)
         for i in range(len(element)):
             shift = i - len(element) // 2
             if element[i] == reach:

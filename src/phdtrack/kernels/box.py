@@ -1,5 +1,4 @@
-"""What boxes in the image are for motion, sensor and clutter: predictions, noises, overlaps,
-neighbours.
+"""Boxes in the image, for motion, sensor and clutter: predictions, noises, overlaps, neighbours.
 
 The formulas stand in `models.box`. States are (px, py, vx, vy, w, h).
 """
@@ -13,30 +12,30 @@ import numpy as np
 from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import Predicted
+from phdtrack.kernels.gaussian import Predicted, copy_gaussian
 
 Noise = tuple[int, float, float, float, float]
 # Rows of the state that a measurement shows.
-ROWS = (0, 1, 4, 5)
+OBSERVED = (0, 1, 4, 5)
 PARTICLE, DETECTION, FIXED, GIVEN = range(4)
 TINY_VARIANCE = 1e-12
 LEAST_SPEED = 1e-6
-# Steps of boxes that are this many times their mean count half in `agreement`; the mean is of the
-# last so many.
+# Steps of boxes that are this many times their mean count half in `agreement`; the mean is over the
+# last so many steps.
 LARGE = 3.0
 MEMORY = 200.0
-# Where D is less, a point is about to pass the horizon of the map: it is taken this far, out of any
-# image, and no further.
+# If D is less, a point is about to pass the horizon of the map: it goes this far, out of any image,
+# and no farther.
 LEAST = 0.05
 
 
 @njit(**ENTRY)
 def apart(boxes: F8, order: I8, overlap: float) -> I8:
-    """(k,) which of the boxes (n, 4) are left if each goes that overlaps one left before it by more
-    than ``overlap`` (IoU).
+    """(k,) the boxes (n, 4) that are kept if each one is dropped that overlaps a kept one before it
+    by more than ``overlap`` (IoU).
 
-    ``order`` (n,): their numbers by left sides, rising. Only boxes that begin left of its end and
-    reach beyond its beginning are compared with a box.
+    ``order`` (n,): their numbers by left sides, ascending. A box is compared only with those that
+    begin left of its end and reach beyond its beginning.
     """
     n = order.size
     place = np.empty(n, np.int64)
@@ -45,11 +44,7 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
     farthest = -np.inf
     k = 0 * n
     for p in range(n):
-        right = boxes[order[p], 2]
-        if right > farthest:
-            farthest = right
-        else:
-            farthest = farthest
+        farthest = max(farthest, boxes[order[p], 2])
         place[order[p]] = p
         reach[p] = farthest
     for j in range(n):
@@ -70,9 +65,10 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
 
 @njit(**ENTRY)
 def following(before: F8, after: F8, overlap: float) -> I8:
-    """(m,) which of the boxes (n, 4) before each of those after (m, 4) follows, −1 for none.
+    """(m,) the box ``before`` (n, 4) that each of the boxes ``after`` (m, 4) continues, −1 for
+    none.
 
-    Each is the one that overlaps the other most, by at least ``overlap`` (IoU).
+    Each of the two is the one that overlaps the other most, by at least ``overlap`` (IoU).
     """
     m = len(after)
     best = np.full(m, -1)
@@ -94,6 +90,15 @@ def following(before: F8, after: F8, overlap: float) -> I8:
     return best
 
 
+@njit(**INNER)
+def _index(names: I8, name: int) -> int:
+    """The index of a name, −1 if it is not there."""
+    for k in range(names.size):
+        if names[k] == name:
+            return k
+    return -1
+
+
 @njit(**ENTRY)
 def agreement(
     then: tuple[I8, F8, F8],
@@ -103,82 +108,70 @@ def agreement(
     kept: float,
     before: F8,
 ) -> F8:
-    """(2, 4) the sums ``before`` of `smooth.online`, with what the boxes of three frames add, those
-    of one target each.
+    """(2, 4) the sums of `smooth.online` after three frames, from those ``before``.
 
-    ``then``: identities (n,), boxes seen and filtered (n, 4). The others: identities and boxes
-    seen. ``ratio``: of their intervals; ``kept``: the share of all sums but the last that is
-    remembered.
+    ``then``: identities (n,), detected and filtered boxes (n, 4) of the first frame. ``between``,
+    ``now``: identities and detected boxes of the others. ``ratio``: of the two intervals; ``kept``:
+    the share of all sums but the last that is remembered.
     """
     sums = before.copy()
     sums[:, :3] *= kept
-    name, seen, filtered = then
-    name_between, seen_between = between
-    name_now, seen_now = now
+    name, detected, filtered = then
+    name_between, detected_between = between
+    name_now, detected_now = now
     for i in range(name.size):
-        j = k = 0
-        while j < name_between.size and name_between[j] != name[i]:
-            j += 1
-        while k < name_now.size and name_now[k] != name[i]:
-            k += 1
-        if j == name_between.size or k == name_now.size:
+        j = _index(name_between, name[i])
+        k = _index(name_now, name[i])
+        if j < 0 or k < 0:
             continue
         for part in range(2):
             # Twice the centre, and the size, along each axis.
             sign = 1.0 - 2 * part
             for axis in range(2):
-                side = seen[i, 2 + axis] - seen[i, axis]
-                z = seen[i, 2 + axis] + sign * seen[i, axis]
+                side = detected[i, 2 + axis] - detected[i, axis]
+                z = detected[i, 2 + axis] + sign * detected[i, axis]
                 m = filtered[i, 2 + axis] + sign * filtered[i, axis]
-                a = seen_between[j, 2 + axis] + sign * seen_between[j, axis]
-                b = seen_now[k, 2 + axis] + sign * seen_now[k, axis]
+                a = detected_between[j, 2 + axis] + sign * detected_between[j, axis]
+                b = detected_now[k, 2 + axis] + sign * detected_now[k, axis]
                 step = (m - z) / side
-                told = (a - (b - a) * ratio - z) / side
+                # Where the next two frames put it, by a straight line through them.
+                later = (a - (b - a) * ratio - z) / side
                 sums[part, 2] += 1
-                if sums[part, 2] < MEMORY:
-                    most = sums[part, 2]
-                else:
-                    most = MEMORY
-                sums[part, 3] += (abs(step) - sums[part, 3]) / most
+                sums[part, 3] += (abs(step) - sums[part, 3]) / min(MEMORY, sums[part, 2])
                 share = step / (LARGE * sums[part, 3] + TINY_VARIANCE)
                 weight = 1 / (1 + share * share)
-                sums[part, 0] += weight * step * told
+                sums[part, 0] += weight * step * later
                 sums[part, 1] += weight * step * step
     return sums
 
 
 @njit(**ENTRY)
-def between(seen: F8, filtered: F8, centre: float, size: float) -> F8:
-    """(n, 4) boxes with these shares of the way from those ``seen`` to those ``filtered``, of
-    centres and of sizes.
+def between(detected: F8, filtered: F8, centre: float, size: float) -> F8:
+    """(n, 4) boxes between those ``detected`` and those ``filtered``: centres and sizes go these
+    shares of the way.
     """
-    out = np.empty(seen.shape)
-    for i in range(seen.shape[0]):
+    out = np.empty(detected.shape)
+    for i in range(detected.shape[0]):
         for axis in range(2):
-            low = filtered[i, axis] - seen[i, axis]
-            high = filtered[i, 2 + axis] - seen[i, 2 + axis]
+            low = filtered[i, axis] - detected[i, axis]
+            high = filtered[i, 2 + axis] - detected[i, 2 + axis]
             middle = centre * (low + high) / 2
             half = size * (high - low) / 2
-            out[i, axis] = seen[i, axis] + middle - half
-            out[i, 2 + axis] = seen[i, 2 + axis] + middle + half
+            out[i, axis] = detected[i, axis] + middle - half
+            out[i, 2 + axis] = detected[i, 2 + axis] + middle + half
     return out
 
 
 @njit(**INNER)
 def overlap_of(boxes: F8, i: int, others: F8, j: int) -> float:
-    """IoU of box i of (n, 4) and j of ``others`` (m, 4); 0 of such as have no area."""
+    """IoU of box i of (n, 4) and box j of ``others`` (m, 4); 0 if they share no area."""
     left = others[j, 0]
     top = others[j, 1]
     right = others[j, 2]
     bottom = others[j, 3]
     area = (right - left) * (bottom - top)
-    # Conditionals and not min and max: they compile faster.
-    wide = (boxes[i, 2] if boxes[i, 2] < right else right) - (
-        boxes[i, 0] if boxes[i, 0] > left else left
-    )
-    high = (boxes[i, 3] if boxes[i, 3] < bottom else bottom) - (
-        boxes[i, 1] if boxes[i, 1] > top else top
-    )
+    wide = min(right, boxes[i, 2]) - max(left, boxes[i, 0])
+    high = min(bottom, boxes[i, 3]) - max(top, boxes[i, 1])
     if not (wide > 0.0 and high > 0.0):
         return 0.0
     union = (boxes[i, 2] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 1]) + area
@@ -186,11 +179,11 @@ def overlap_of(boxes: F8, i: int, others: F8, j: int) -> float:
     return share
 
 
-# The two records come as plain tuples: Numba looks up the class of every named one, which takes as
-# long as some kernels.
+# Callers pass the two records as plain tuples: Numba looks up the class of every named one, which
+# takes as long as some kernels.
 class BoxDynamics(NamedTuple):
     """Motion of boxes over one interval: variances of position, of position with velocity, of
-    velocity and of size along an axis, of a target of size 1 where ``scaled``; ``p_survive`` inside
+    velocity and of size along an axis, for a target of size 1 if ``scaled``; ``p_survive`` inside
     the frame of this size (0: no border)."""
 
     dt: float
@@ -206,7 +199,7 @@ class BoxDynamics(NamedTuple):
 
 
 class BoxNoise(NamedTuple):
-    """Noise of measured boxes: what its deviations follow, settings of `BoxSensor`, constant
+    """Noise of measured boxes: the size that it scales with, settings of `BoxSensor`, constant
     variances of position and size."""
 
     scaling: int
@@ -214,6 +207,25 @@ class BoxNoise(NamedTuple):
     min_noise: float
     fixed_position: float
     fixed_size: float
+
+
+@njit(**INNER)
+def _unit_variance(size: float, min_size: float, scaled: bool) -> float:
+    """The variance of a noise of one unit: the square of the size, or 1 if not ``scaled``."""
+    if not scaled:
+        return 1.0
+    unit = max(min_size, size)
+    return unit * unit
+
+
+@njit(**INNER)
+def _in_frame(mean: F8, i: int, width: float, height: float) -> bool:
+    """True if a part of box i is inside the frame."""
+    wide = 0.5 * mean[i, 4]
+    high = 0.5 * mean[i, 5]
+    across: bool = -wide < mean[i, 0] < width + wide
+    along: bool = -high < mean[i, 1] < height + high
+    return across and along
 
 
 @njit(**ENTRY)
@@ -229,44 +241,30 @@ def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F
     p_survive = np.empty(n)
     dt = motion.dt
     bordered = motion.width > 0.0 and motion.height > 0.0
+    # Counted, because the compiler would write loops of two out.
     axes = d // 3
     for i in range(n):
-        for r in range(d):
-            out_mean[i, r] = mean[i, r]
-            for s in range(d):
-                out_cov[i, r, s] = covariance[i, r, s]
-        # Rows first, then columns: P → F P → F P Fᵀ. Axes are counted, as the compiler would write
-        # loops of two out.
+        copy_gaussian(mean, covariance, i, out_mean, out_cov, i)
+        # Rows first, then columns: P → F P → F P Fᵀ.
         for a in range(axes):
             out_mean[i, a] += dt * mean[i, a + 2]
             for s in range(d):
                 out_cov[i, a, s] += dt * out_cov[i, a + 2, s]
-        inside = True
         for a in range(axes):
             for s in range(d):
                 out_cov[i, s, a] += dt * out_cov[i, s, a + 2]
-            size = mean[i, a + 4]
-            if size > motion.min_size:
-                unit = size
-            else:
-                unit = motion.min_size
-            unit = unit * unit if motion.scaled else 1.0
+            unit = _unit_variance(mean[i, a + 4], motion.min_size, motion.scaled)
+            agile = unit
             if len(factor) > 0:
                 agile = unit * factor[i]
-            else:
-                agile = unit
             out_cov[i, a, a] += motion.position * agile
             out_cov[i, a, a + 2] += motion.mixed * agile
             out_cov[i, a + 2, a] += motion.mixed * agile
             out_cov[i, a + 2, a + 2] += motion.velocity * agile
             out_cov[i, a + 4, a + 4] += motion.extent * unit
-            half = 0.5 * size
-            if a == 0:
-                end = motion.width
-            else:
-                end = motion.height
-            inside &= -half < mean[i, a] < end + half
-        p_survive[i] = motion.p_survive if inside or not bordered else 0.0
+        p_survive[i] = motion.p_survive
+        if bordered and not _in_frame(mean, i, motion.width, motion.height):
+            p_survive[i] = 0.0
     return Predicted(out_mean, out_cov, p_survive)
 
 
@@ -281,7 +279,7 @@ def moved_boxes(
     min_size: float,
     scaled: bool,
 ) -> tuple[F8, F8, F8]:
-    """Means (6, n), the Jacobian (6, 6) of all, and noises (6, 6, n) of boxes (6, n) after an
+    """Means (6, n), the common Jacobian (6, 6), and noises (6, 6, n) of boxes (6, n) after an
     interval [M09 (11)].
     """
     mean = x.copy()
@@ -291,11 +289,7 @@ def moved_boxes(
         jacobian[a, a + 2] = dt
         for n in range(x.shape[1]):
             mean[a, n] += dt * x[a + 2, n]
-            if x[a + 4, n] < min_size:
-                size = min_size
-            else:
-                size = x[a + 4, n]
-            unit = size * size if scaled else 1.0
+            unit = _unit_variance(x[a + 4, n], min_size, scaled)
             noise[a, a, n] = position * unit
             noise[a, a + 2, n] = noise[a + 2, a, n] = mixed * unit
             noise[a + 2, a + 2, n] = velocity * unit
@@ -305,43 +299,37 @@ def moved_boxes(
 
 @njit(**INNER)
 def box_variances(noise: BoxNoise, w: float, h: float) -> tuple[float, float, float, float]:
-    """Variances of (px, py, w, h) of a measured box whose noise follows the size ``w``, ``h``."""
+    """Variances of (px, py, w, h) of a measured box whose noise scales with ``w``, ``h``."""
     if noise.scaling == FIXED:
         return noise.fixed_position, noise.fixed_position, noise.fixed_size, noise.fixed_size
     sw = noise.box_noise * w
     sh = noise.box_noise * h
-    least = noise.min_noise
-    sw = sw if sw > least else least
-    sh = sh if sh > least else least
-    # Without a floor the noise of a vanishing box would be none, and no density.
-    vw = sw * sw
-    vh = sh * sh
-    if vw > TINY_VARIANCE:
-        vw = vw
-    else:
-        vw = TINY_VARIANCE
-    if vh > TINY_VARIANCE:
-        vh = vh
-    else:
-        vh = TINY_VARIANCE
-    px = 0.25 * vw
-    py = 0.25 * vh
-    return (
-        px if px > TINY_VARIANCE else TINY_VARIANCE,
-        py if py > TINY_VARIANCE else TINY_VARIANCE,
-        vw,
-        vh,
-    )
+    sw = max(noise.min_noise, sw)
+    sh = max(noise.min_noise, sh)
+    # Without a floor a vanishing box would have no noise, and so no density.
+    vw = max(TINY_VARIANCE, sw * sw)
+    vh = max(TINY_VARIANCE, sh * sh)
+    return max(TINY_VARIANCE, 0.25 * vw), max(TINY_VARIANCE, 0.25 * vh), vw, vh
+
+
+@njit(**INNER)
+def _speed_deviation(noise: BoxNoise, speed: float, w: float, h: float) -> float:
+    """Deviation of each component of an unknown velocity: ``speed`` in √(wh), or in pixels if the
+    noise is constant.
+    """
+    if noise.scaling != FIXED:
+        speed *= np.sqrt(w * h)
+    return max(LEAST_SPEED, speed)
 
 
 @njit(**ENTRY)
 def box_covariances(size: F8, noise: Noise) -> F8:
-    """(L, 4, 4) noise covariances of (px, py, w, h) of measured boxes whose noise follows sizes (2,
-    L).
+    """(L, 4, 4) noise covariances of (px, py, w, h) of measured boxes whose noise scales with sizes
+    (2, L).
     """
     noise = BoxNoise(*noise)
     n = size.shape[1]
-    m = len(ROWS)
+    m = len(OBSERVED)
     out = np.empty((n, m, m))
     for i in range(n):
         for a in range(m):
@@ -355,9 +343,9 @@ def box_covariances(size: F8, noise: Noise) -> F8:
 
 @njit(**ENTRY)
 def states_of_boxes(z: F8, noise: Noise, speed: float) -> tuple[F8, F8]:
-    """States at rest (6, N) that boxes ``z`` (m, N) alone show, and their covariances (N, 6, 6).
+    """States at rest (6, N) that boxes ``z`` (m, N) alone imply, and their covariances (N, 6, 6).
 
-    ``speed`` is the deviation of each velocity component, in √(wh), or in pixels where the noise is
+    ``speed``: deviation of each velocity component, in √(wh), or in pixels if the noise is
     constant.
     """
     noise = BoxNoise(*noise)
@@ -370,51 +358,43 @@ def states_of_boxes(z: F8, noise: Noise, speed: float) -> tuple[F8, F8]:
             x[a, j] = 0.0
             for b in range(dim):
                 cov[j, a, b] = 0.0
-        here = box_variances(noise, z[2, j], z[3, j])
+        variance = box_variances(noise, z[2, j], z[3, j])
         if noise.scaling == GIVEN:
-            here = z[4, j], z[5, j], z[6, j], z[7, j]
-        if noise.scaling == FIXED:
-            size = 1.0
-        else:
-            size = np.sqrt(z[2, j] * z[3, j])
-        moving = speed * size
-        if moving > LEAST_SPEED:
-            moving = moving * moving
-        else:
-            moving = LEAST_SPEED * LEAST_SPEED
+            variance = z[4, j], z[5, j], z[6, j], z[7, j]
+        moving = _speed_deviation(noise, speed, z[2, j], z[3, j])
         for a in range(2):
             x[a, j] = z[a, j]
-            cov[j, a, a] = here[a]
-            cov[j, a + 2, a + 2] = moving
+            cov[j, a, a] = variance[a]
+            cov[j, a + 2, a + 2] = moving * moving
         for c in range(4, dim):
             a = 2 + c % 2
             x[c, j] = z[a, j]
-            cov[j, c, c] = here[a]
+            cov[j, c, c] = variance[a]
     return x, cov
 
 
 @njit(**ENTRY)
 def box_deviations(x: F8, noise: Noise, speed: float) -> F8:
-    """(d, n) deviations by which boxes ``x`` (d, n) are resolved: measured ones', and ``speed`` as
-    of `states_of_boxes`.
+    """(d, n) deviations by which the sensor resolves boxes ``x`` (d, n): of a measured box, and
+    ``speed`` as in `states_of_boxes`.
     """
     noise = BoxNoise(*noise)
     out = np.empty(x.shape)
     for i in range(x.shape[1]):
         variance = box_variances(noise, x[4, i], x[5, i])
-        moving = speed * (1.0 if noise.scaling == FIXED else np.sqrt(x[4, i] * x[5, i]))
+        moving = _speed_deviation(noise, speed, x[4, i], x[5, i])
         for a in range(2):
             out[a, i] = np.sqrt(variance[a])
-            out[a + 2, i] = moving if moving > LEAST_SPEED else LEAST_SPEED
+            out[a + 2, i] = moving
         for c in range(4, x.shape[0]):
             out[c, i] = np.sqrt(variance[2 + c % 2])
     return out
 
 
-# States carried by a homography: the formulas stand in `models.warp`.
+# States warped by a homography: the formulas stand in `models.warp`.
 @njit(**ENTRY)
 def warped_states(x: F8, warp: F8, areas: float) -> F8:
-    """(d, n) states after the homography (3, 3), whose determinant is ``areas``; rows behind the
+    """(d, n) states after the homography (3, 3) with determinant ``areas``; rows behind the
     velocities are lengths.
     """
     out = np.empty(x.shape)
@@ -441,11 +421,11 @@ def warped_slopes(x: F8, warp: F8, areas: float) -> F8:
         _, _, depth, a, b, c, d = _local(warp, x[0, i], x[1, i])
         vx = x[2, i]
         vy = x[3, i]
-        for place in range(0, 4, 2):
-            out[i, place, place] = a
-            out[i, place, place + 1] = b
-            out[i, place + 1, place] = c
-            out[i, place + 1, place + 1] = d
+        for row in range(0, 4, 2):
+            out[i, row, row] = a
+            out[i, row, row + 1] = b
+            out[i, row + 1, row] = c
+            out[i, row + 1, row + 1] = d
         # ∂(J v)/∂p = −(J gᵀv + (J v) gᵀ)/D
         along = g * vx + h * vy
         wx = a * vx + b * vy
@@ -465,7 +445,7 @@ def warped_slopes(x: F8, warp: F8, areas: float) -> F8:
 
 @njit(**INNER)
 def _local(warp: F8, x: float, y: float) -> tuple[float, float, float, float, float, float, float]:
-    """The place where the pixel goes, D there, and the Jacobian row by row."""
+    """The position of the warped pixel, D there, and the Jacobian row by row."""
     depth = max(warp[2, 0] * x + warp[2, 1] * y + 1.0, LEAST)
     px = (warp[0, 0] * x + warp[0, 1] * y + warp[0, 2]) / depth
     py = (warp[1, 0] * x + warp[1, 1] * y + warp[1, 2]) / depth

@@ -1,10 +1,10 @@
-"""A frame against the reference: one pass that says where it changed, and one by which reference
-and noise follow it.
+"""Background subtraction: one pass that finds changes against the reference, and one that updates
+reference and noise.
 
-What each computes is said in `detect.change`. Pictures are as decoders have them, YUV 4:2:0 in one
-row (n,): brightness (H·W), and below it the blue and the red colour difference, each a plane of
-half width and height, rounded up. Each row goes through short loops over a few arrays, which
-vectorise; between them it stays in the cache.
+The method stands in `detect.change`. Pictures are as decoders make them, YUV 4:2:0 in one row (n,):
+brightness (H·W), and below it the blue and the red colour difference, each a plane of half width
+and height, rounded up. Each row goes through short loops over a few arrays, which vectorise;
+between them it stays in the cache.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from phdtrack.kernels.planes import (
 Pixel = tuple[np.int32, np.int32, np.int32]
 Weights = tuple[np.float32, np.float32, np.float32, np.float32]
 Reaches = tuple[np.int32, np.int32, np.int32, np.int32]
-# A pixel is not changed where it resembles samples in at least `OFTEN` runs, and at least the share
+# A pixel has not changed if it resembles samples in at least `OFTEN` runs, and at least the share
 # `SHARE` of the samples that differ from the reference there: passers-by hardly resemble each
 # other, leaves do.
 OFTEN = 4
 SHARE = 0.35
-# Where at least the share `BUSY` of the samples differs, samples count too that it resembles
-# `REACH` pixels away: leaves sway. Then it takes the share `NEAR` of all samples, and as many as
-# differ there: no more resemble a passer-by than pass.
+# If at least the share `BUSY` of the samples differs, samples that it resembles `REACH` pixels away
+# count too: leaves sway. Then it takes the share `NEAR` of all samples, and as many as differ
+# there: no more samples resemble a passer-by than there are passers-by.
 BUSY = 0.1
 NEAR = 0.33
 REACH = 3
 CHANNELS = 3
-# What is so many pixels from the foreground counts as such.
+# Pixels so near to the foreground count as foreground.
 MARGIN = 2
-# Columns whose medians are made together: their samples stay in the cache. Pixels that are passed
-# over at once.
+# Columns whose medians are computed together: their samples stay in the cache. Pixels that are
+# skipped together.
 _BLOCK = 512
 _PIXELS = 64
 _NONE = F(0)
@@ -68,7 +68,7 @@ _1 = D(1)
 
 
 class Statistic(NamedTuple):
-    """What decides that a pixel changed.
+    """The test of change in a pixel.
 
     ``local`` (4,): variances by local light of differences of brightness towards dark and bright,
     and of blue and red; ``window`` its side, odd; ``threshold`` of the window's mean; ``alike``:
@@ -82,9 +82,10 @@ class Statistic(NamedTuple):
 
 
 class Past(NamedTuple):
-    """``samples`` (n, K) of other times in order, their brightness as its logarithm, how many of
-    them differ from the reference (H, W), and the ``OFTEN``-th smallest and largest of each number
-    (n, 2); ``near``: the same of the smallest and largest within `REACH`, the `often_near`-th."""
+    """Earlier pictures: ``samples`` (n, K) of other times in order, with the logarithm of
+    brightness; ``differing`` (H, W), how many of them differ from the reference; ``extremes`` (n,
+    2), the `OFTEN`-th smallest and largest of each number; ``near``, the `often_near`-th of the
+    smallest and largest within `REACH`."""
 
     samples: U1
     differing: U1
@@ -93,9 +94,9 @@ class Past(NamedTuple):
 
 
 class Alike(NamedTuple):
-    """What decides that a sample resembles a pixel: ``weights`` 1/σ² as of `Statistic.local`,
-    ``limit`` of the energy, and ``reaches``, the least differences of each alone that are too
-    large."""
+    """The test of similarity of a sample and a pixel: ``weights`` 1/σ², see `Statistic.local`,
+    ``limit`` of the energy, and ``reaches``, the least difference in each component that is too
+    large on its own."""
 
     weights: Weights
     limit: np.float32
@@ -103,7 +104,7 @@ class Alike(NamedTuple):
 
 
 def often_near(count: int) -> int:
-    """How many of so many samples a pixel has to resemble some pixels away at the least."""
+    """The least number of samples, of so many, that a pixel must resemble some pixels away."""
     return max(1, math.ceil(NEAR * count))
 
 
@@ -112,34 +113,34 @@ def changed(
     image: U1,
     before: U1,
     camera: F8,
-    known: tuple[F4, F4, U1],
+    background: tuple[F4, F4, U1],
     rule: Statistic,
     past: Past,
     steps: tuple[int, int],
     cleaning: Cleaning,
     beyond: tuple[int, int],
 ) -> tuple[U1, F4, F4]:
-    """The next frame: its mask, cleaned, its energy as of `compare`, and the light (3, 4) of
+    """The cleaned mask of the next frame, its energy as in `compare`, and its light (3, 4) as in
     `lighting`.
 
-    All of it in one call: a thread that runs Python beside this one is in its way at each begin and
-    end of one.
+    All of it in one call: a thread that runs Python beside this one delays the begin and the end of
+    each call.
 
     Parameters
     ----------
-    image : (n,), whose colours are smoothed.
-    before : (3, h, w) sparse pixels of the frame before, which become those of this one.
-    camera : (3,) deviations of brightness and colours by the camera's noise, which follow.
-    known : reference (n,), usual energy (H, W), and the frame before's foreground (H, W), which
-        becomes this one's.
+    image : (n,); its colours are smoothed in place.
+    before : (3, h, w) sparse pixels of the frame before; become those of this one.
+    camera : (3,) deviations of brightness and colours by the camera's noise; updated.
+    background : reference (n,), usual energy (H, W), and the foreground (H, W) of the frame before;
+        becomes that of this one.
     rule, past : as for `compare`.
-    steps : every so many pixels both ways are looked at for the camera's noise, even, and for the
-        light.
+    steps : distance both ways of the pixels from which the camera's noise is measured, even, and
+        of those for the light.
     cleaning : as for `cleaned`.
     beyond : so many columns on the left and on the right, and rows above and below, show nothing of
         the scene.
     """
-    reference, scene, foreground = known
+    reference, scene, foreground = background
     smooth(image, scene.shape)
     counts = noise(image, before, scene.shape, steps[0])
     for c in range(3):
@@ -157,12 +158,12 @@ def changed(
 def compare(
     image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, camera: F8, past: Past
 ) -> tuple[U1, F4]:
-    """(H, W) 255 where ``image`` changed against the ``reference`` in another ``light``, and (H, W)
-    its energy.
+    """(H, W) 255 for pixels of ``image`` that changed against the ``reference`` in another
+    ``light``, and (H, W) the energy.
 
-    ``image``, ``reference`` (n,); ``light`` (3, 4) as `lighting` has it; ``scene`` (H, W): energy
-    that is usual there, three times s; ``rule``, ``past``: as above; ``camera`` (3,): deviations by
-    the camera's noise of brightness and of colours.
+    ``image``, ``reference`` (n,); ``light`` (3, 4) from `lighting`; ``scene`` (H, W): the usual
+    energy, three times s; ``rule``, ``past``: see above; ``camera`` (3,): deviations of brightness
+    and of colours by the camera's noise.
     """
     height, width = scene.shape
     mask = np.empty((height, width), np.uint8)
@@ -175,9 +176,9 @@ def compare(
     weights = _weights(rule.local, camera)
     count = past.samples.shape[1]
     alike = Alike(weights, F(rule.alike), _reaches(weights, F(rule.alike)))
-    # Of a row: its brightness, the colours' part of the energy and the colours' part of the light,
-    # of every other pixel; the last two of all pixels; and the sums over columns of the window,
-    # with a margin.
+    # Arrays of a row: brightness, the colours' part of the energy and the colours' part of the
+    # light of every other pixel; the last two of all pixels; and the sums over columns of the
+    # window, with a margin.
     half = np.zeros((3, across), np.float32)
     whole = np.zeros((2, 2 * across), np.float32)
     column = np.empty(width + 2 * reach, np.float32)
@@ -203,11 +204,11 @@ def compare(
 
 @njit(**ENTRY)
 def follow(image: U1, energy: F4, reference: F4, scene: F4, foreground: U1, rates: F4) -> None:
-    """Move ``reference`` (n,) towards ``image``, and outside of the ``foreground`` ``scene`` (H, W)
-    towards ``energy``.
+    """Update ``reference`` (n,) with ``image``, and ``scene`` (H, W) outside of the ``foreground``
+    with ``energy``.
 
     ``rates``: of the reference outside of the foreground and in it, and of the scene; the largest
-    value of that.
+    value of the scene.
     """
     height, width = scene.shape
     low = (height + 1) // 2
@@ -227,8 +228,9 @@ def _border(mask: U1, beyond: tuple[int, int], value: int) -> None:
     height, width = mask.shape
     across, down = beyond
     for y in range(height):
-        for x in range(width) if y < down or y >= height - down else range(0):
-            mask[y, x] = value
+        if y < down or y >= height - down:
+            for x in range(width):
+                mask[y, x] = value
         for x in range(min(across, width)):
             mask[y, x] = value
             mask[y, width - 1 - x] = value
@@ -236,7 +238,7 @@ def _border(mask: U1, beyond: tuple[int, int], value: int) -> None:
 
 @njit(**INNER)
 def _weights(local: F8, camera: F8) -> Weights:
-    """1/σ² of the differences whose variances by local light these are."""
+    """1/σ² of differences with these variances by local light, and the camera's noise."""
     grey = camera[0] ** 2
     blue = F(1 / (local[2] + camera[1] ** 2))
     red = F(1 / (local[3] + camera[2] ** 2))
@@ -245,6 +247,7 @@ def _weights(local: F8, camera: F8) -> Weights:
 
 @njit(**INNER)
 def _reaches(weights: Weights, limit: np.float32) -> Reaches:
+    """The least differences of each component with an energy not below the limit."""
     return (
         _reach(weights[0], limit),
         _reach(weights[1], limit),
@@ -285,18 +288,18 @@ def middle(samples: NDArray[np.integer[Any]]) -> NDArray[np.integer[Any]]:
 
 @njit(**VECTOR)
 def _halved(foreground: U1, row: int, out: U1) -> None:
-    """Of every other pixel both ways, one row."""
+    """Copy every other pixel of every other row, one row."""
     for i in range(D(out.shape[1])):
         out[row, i] = foreground[2 * row, i + i]
 
 
-# The functions of a row take whole arrays and where it is in them: to take a row out costs as much
-# as to work on it.
+# The functions of a row take whole arrays and its position in them: taking a row out costs as much
+# as working on it.
 @njit(**VECTOR)
 def _colour_energy(
     y: int, image: U1, reference: F4, light: F4, weights: Weights, scene: F4, half: F4, whole: F4
 ) -> None:
-    """The part of the energy that colours have, and what they add to the brightness of the
+    """The colours' part of the energy of a row, and their contribution to the brightness of the
     reference in another light.
     """
     height, width = scene.shape
@@ -347,7 +350,7 @@ def _energy(
     energy: F4,
     normal: F4,
 ) -> None:
-    """The energy of a row, and what it is over what is usual there."""
+    """The energy of a row, and its ratio to the usual energy."""
     dark = weights[0]
     bright = weights[1]
     slot = y % normal.shape[0]
@@ -366,9 +369,7 @@ def _energy(
 
 @njit(**VECTOR)
 def _columns(at: int, height: int, normal: F4, column: F4) -> None:
-    """The sums of the rows of the window around a row, and beyond its ends what they are
-    mirrored.
-    """
+    """The sums of the rows of the window around a row, mirrored beyond its ends."""
     window, width = normal.shape
     reach = window // 2
     n = D(width)
@@ -388,12 +389,14 @@ def _columns(at: int, height: int, normal: F4, column: F4) -> None:
 
 @njit(**VECTOR)
 def _copy(column: F4, start: int, total: F4) -> None:
+    """Copy the sums over columns from ``start`` on."""
     for i in range(D(total.size)):
         total[i] = column[D(start) + i]
 
 
 @njit(**VECTOR)
 def _add(column: F4, a: int, b: int, total: F4) -> None:
+    """Add the sums over columns from a and from b on."""
     x = D(a)
     y = D(b)
     for i in range(D(total.size)):
@@ -402,18 +405,19 @@ def _add(column: F4, a: int, b: int, total: F4) -> None:
 
 @njit(**VECTOR)
 def _passed(at: int, normal: F4, total: F4, limit: np.float32, least: np.float32, mask: U1) -> None:
-    """The window's mean must pass, and half of it the pixel itself, which keeps outlines sharp."""
+    """Write 255 for the pixels of a row that changed: the window's mean must pass the limit, and
+    the pixel itself half of it, which keeps outlines sharp.
+    """
     slot = at % normal.shape[0]
     for i in range(D(total.size)):
-        mask[at, i] = (
-            np.uint8(255) if (total[i] > limit) & (normal[slot, i] > least) else np.uint8(0)
-        )
+        passed = (total[i] > limit) & (normal[slot, i] > least)
+        mask[at, i] = np.uint8(255) if passed else np.uint8(0)
 
 
 @njit(**INNER)
 def _recall(image: U1, alike: Alike, past: Past, y: int, work: tuple[U1, I8], mask: U1) -> None:
-    """Take what was seen before out of row ``y`` of the mask; ``work`` is overwritten."""
-    seen, near = work
+    """Remove pixels that resemble the past from row ``y`` of the mask; ``work`` is scratch."""
+    similar, near = work
     samples = past.samples
     reaches = alike.reaches
     height, width = past.differing.shape
@@ -422,7 +426,9 @@ def _recall(image: U1, alike: Alike, past: Past, y: int, work: tuple[U1, I8], ma
     for start in range(0, width, _PIXELS):
         stop = min(start + _PIXELS, width)
         # Most of a picture has not changed.
-        for x in range(start, stop) if _any(mask, y, start, stop) else range(0):
+        if not _any(mask, y, start, stop):
+            continue
+        for x in range(start, stop):
             if mask[y, x] == 0:
                 continue
             p = y * width + x
@@ -432,36 +438,46 @@ def _recall(image: U1, alike: Alike, past: Past, y: int, work: tuple[U1, I8], ma
             if not _beyond(pixel, past.extremes, (p, q, q + plane), reaches):
                 near[0, 0] = p
                 near[1, 0] = q
-                count = _resembling(pixel, samples, near, 1, plane, alike, seen)
-                if _often(count, seen, SHARE * differing):
+                count = _resembling(pixel, samples, near, 1, plane, alike, similar)
+                if _often(count, similar, SHARE * differing):
                     mask[y, x] = 0
-            busy = mask[y, x] and differing >= BUSY * seen.size
+            busy = mask[y, x] and differing >= BUSY * similar.size
             if busy and not _beyond(pixel, past.near, (p, q, q + plane), reaches):
-                n = 0
-                for i in (y - REACH, y, y + REACH):
-                    for j in (x - REACH, x, x + REACH):
-                        if 0 <= i < height and 0 <= j < width:
-                            near[0, n] = i * width + j
-                            near[1, n] = height * width + i // 2 * across + j // 2
-                            n += 1
-                count = _resembling(pixel, samples, near, n, plane, alike, seen)
-                if _often(count, seen, max(NEAR * seen.size, differing)):
+                n = _neighbours(y, x, height, width, near)
+                count = _resembling(pixel, samples, near, n, plane, alike, similar)
+                if _often(count, similar, max(NEAR * similar.size, differing)):
                     mask[y, x] = 0
+
+
+@njit(**INNER)
+def _neighbours(y: int, x: int, height: int, width: int, near: I8) -> int:
+    """Write the positions of brightness and blue of a pixel and the eight `REACH` pixels away;
+    returns how many are inside of the picture.
+    """
+    across = (width + 1) // 2
+    n = 0
+    for i in (y - REACH, y, y + REACH):
+        for j in (x - REACH, x, x + REACH):
+            if 0 <= i < height and 0 <= j < width:
+                near[0, n] = i * width + j
+                near[1, n] = height * width + i // 2 * across + j // 2
+                n += 1
+    return n
 
 
 @njit(**VECTOR)
 def _any(mask: U1, y: int, start: int, stop: int) -> bool:
-    """Whether not all of a part of a row are 0."""
-    found = np.uint8(0)
+    """True if a part of a row is not all 0."""
+    bits = np.uint8(0)
     for i in range(D(start), D(stop)):
-        found |= mask[y, i]
-    return bool(found)
+        bits |= mask[y, i]
+    return bool(bits)
 
 
 @njit(**INNER)
 def _beyond(pixel: Pixel, extremes: U1, at: tuple[int, int, int], reaches: Reaches) -> bool:
-    """Whether a pixel is too far below the first or above the second of two values of a plane to
-    resemble those between.
+    """True if a pixel is too far below the first or above the second extreme to resemble a sample
+    between them.
     """
     for c in range(3):
         low = INT(extremes[at[c], 0])
@@ -472,32 +488,33 @@ def _beyond(pixel: Pixel, extremes: U1, at: tuple[int, int, int], reaches: Reach
 
 
 @njit(**INNER)
-def _often(count: int, seen: U1, least: float) -> bool:
-    """Whether the ``count`` of ones is at least so large, and they are in at least `OFTEN` runs."""
+def _often(count: int, similar: U1, least: float) -> bool:
+    """True if there are enough ones, ``count``, in at least `OFTEN` runs."""
     if count < least or count < OFTEN:
         return False
     runs = 0
     before = np.uint8(0)
-    for one in seen:
-        runs = runs + (one > before)
-        before = one
+    for now in similar:
+        runs = runs + (now > before)
+        before = now
     return runs >= OFTEN
 
 
 @njit(**VECTOR)
 def _resembling(
-    pixel: Pixel, samples: U1, near: I8, places: int, plane: int, alike: Alike, out: U1
+    pixel: Pixel, samples: U1, near: I8, positions: int, plane: int, alike: Alike, out: U1
 ) -> Any:
-    """1 for each of the samples that a pixel resembles at one of the places ``near``, of brightness
-    and of blue, and their number; red is a ``plane`` behind blue."""
+    """Write 1 for each sample that a pixel resembles at one of the positions ``near`` (of
+    brightness and of blue; red is a ``plane`` behind blue); returns their number.
+    """
     a, b, c = pixel
     dark, bright, v, w = alike.weights
     limit = alike.limit
     count = INT(0)
     for k in range(D(out.size)):
         out[k] = 0
-    for m in range(places):
-        # No rows are taken out of the array, which would take longer than to compare them.
+    for m in range(positions):
+        # No rows are taken out of the array, which would take longer than comparing them.
         i = D(near[0, m])
         j = D(near[1, m])
         red = j + D(plane)
@@ -514,7 +531,7 @@ def _resembling(
 
 @njit(**VECTOR)
 def _approach(image: U1, foreground: U1, rates: F4, reference: F4, start: int) -> None:
-    """Of the numbers from ``start`` on, as many as there are of the foreground."""
+    """Update a plane of the reference, from number ``start`` on, as large as the foreground."""
     outside = rates[0]
     inside = rates[1]
     first = D(start)
@@ -525,6 +542,7 @@ def _approach(image: U1, foreground: U1, rates: F4, reference: F4, start: int) -
 
 @njit(**VECTOR)
 def _settle(energy: F4, foreground: U1, rate: np.float32, most: np.float32, scene: F4) -> None:
+    """Update the usual energy outside of the foreground."""
     for i in range(D(scene.size)):
         value = scene[i] + (energy[i] - scene[i]) * rate
         scene[i] = min(value if foreground[i] == 0 else scene[i], most)
@@ -532,6 +550,7 @@ def _settle(energy: F4, foreground: U1, rate: np.float32, most: np.float32, scen
 
 @njit(**VECTOR)
 def _exchange(low: NDArray[np.integer[Any]], high: NDArray[np.integer[Any]]) -> None:
+    """Put the smaller of two numbers of each column first."""
     for i in range(D(low.size)):
         a = low[i]
         b = high[i]

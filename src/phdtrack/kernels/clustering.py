@@ -7,10 +7,11 @@ from __future__ import annotations
 import numpy as np
 
 from phdtrack.kernels import F8, I8
+from phdtrack.kernels.association import numbered, root, unite
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
-# Nodes up to which all partitions are compared; beyond it clusters are merged while that gains,
+# For up to so many nodes all partitions are compared; else clusters are merged while that gains,
 # then single nodes move.
 EXACT = 9
 
@@ -24,51 +25,47 @@ def clusters(gain: F8) -> I8:
     part is solved alone.
     """
     n = gain.shape[0]
-    out = np.full(n, -1, np.int64)
-    place = np.full(n, -1, np.int64)
-    queue = np.empty(n, np.int64)
+    parent = np.arange(n)
+    for i in range(n):
+        for j in range(i):
+            if gain[i, j] > 0.0:
+                unite(parent, i, j)
+    cluster = np.arange(n)
     for first in range(n):
-        if out[first] >= 0:
+        if root(parent, first) != first:
             continue
-        count = 1
-        done = 0
-        queue[0] = first
-        place[first] = first
-        while done < count:
-            i = queue[done]
-            done += 1
-            for j in range(n):
-                if place[j] < 0 and gain[i, j] > 0.0:
-                    place[j] = first
-                    queue[count] = j
-                    count += 1
-        nodes = np.sort(queue[:count])
-        part = np.empty((count, count))
-        for a in range(count):
-            for b in range(count):
+        nodes = _members(parent, first)
+        part = np.empty((nodes.size, nodes.size))
+        for a in range(nodes.size):
+            for b in range(nodes.size):
                 part[a, b] = gain[nodes[a], nodes[b]]
-        if count <= EXACT:
+        if nodes.size <= EXACT:
             label = _best(part)
         else:
-            label = _merged(part)
-        first_of = np.full(count, -1, np.int64)
-        for a in range(count):
-            if first_of[label[a]] < 0:
-                first_of[label[a]] = nodes[a]
-            out[nodes[a]] = first_of[label[a]]
-    # So far a cluster is called by its first node.
-    used = 0
-    for i in range(n):
-        place[i] = used if out[i] == i else place[out[i]]
-        used += 1 if out[i] == i else 0
-    return place
+            label = _improved(part, _merged(part))
+        for a in range(nodes.size):
+            for b in range(a):
+                if label[a] == label[b]:
+                    unite(cluster, nodes[a], nodes[b])
+    out: I8 = numbered(cluster)
+    return out
+
+
+@njit(**INNER)
+def _members(parent: I8, first: int) -> I8:
+    """The nodes of the set that ``first`` represents, ascending."""
+    out = np.empty(parent.size, np.int64)
+    count = 0
+    for i in range(parent.size):
+        if root(parent, i) == first:
+            out[count] = i
+            count += 1
+    return out[:count]
 
 
 @njit(**INNER)
 def _best(gain: F8) -> I8:
-    """(n,) the best clusters of few nodes: by dynamic programming over the sets of those that are
-    placed.
-    """
+    """(n,) the best clusters of few nodes, by dynamic programming over sets of nodes."""
     n = gain.shape[0]
     size = 1 << n
     within = np.zeros(size)
@@ -112,7 +109,7 @@ def _best(gain: F8) -> I8:
 
 @njit(**INNER)
 def _merged(gain: F8) -> I8:
-    """(n,) good clusters of many nodes."""
+    """(n,) clusters of many nodes: merges the pair that gains most while one gains."""
     n = gain.shape[0]
     label = np.arange(n)
     between = gain.copy()
@@ -122,36 +119,41 @@ def _merged(gain: F8) -> I8:
         a = -1
         b = -1
         for i in range(n):
-            if alive[i]:
-                for j in range(i + 1, n):
-                    if alive[j] and between[i, j] > most:
-                        most = between[i, j]
-                        a = i
-                        b = j
+            for j in range(i + 1, n):
+                if alive[i] and alive[j] and between[i, j] > most:
+                    most = between[i, j]
+                    a = i
+                    b = j
         if a < 0:
-            break
+            return label
         alive[b] = False
         for k in range(n):
             between[a, k] += between[b, k]
             between[k, a] = between[a, k]
             if label[k] == b:
                 label[k] = a
+
+
+@njit(**INNER)
+def _improved(gain: F8, label: I8) -> I8:
+    """(n,) better clusters: single nodes move to the cluster to which they gain most, in place."""
+    n = gain.shape[0]
     total = np.zeros(n)
-    empty = np.zeros(n, np.int64)
+    empty = np.zeros(n, np.bool_)
     # Every move gains, so it ends; the bound is for gains that are rounding.
     for _ in range(n):
         moved = False
         for i in range(n):
             total[:] = 0.0
-            empty[:] = 1
+            empty[:] = True
             for j in range(n):
                 if j != i:
                     total[label[j]] += gain[i, j]
-                    empty[label[j]] = 0
+                    empty[label[j]] = False
             best = label[i]
             for k in range(n):
                 # An empty cluster has a total of 0: alone.
-                if total[k] > total[best] + 1e-9 and (total[k] > 0.0 or empty[k] == 1):
+                if total[k] > total[best] + 1e-9 and (total[k] > 0.0 or empty[k]):
                     best = k
             if best != label[i]:
                 label[i] = best

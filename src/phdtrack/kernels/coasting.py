@@ -1,4 +1,4 @@
-"""Verdicts on tracks that were missing: found again where they were predicted, or not. See
+"""Outcomes of track gaps: the target was detected again at its prediction, or not. See
 `associate.labels`.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.box import overlap_of
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY
+from phdtrack.kernels.fast32 import ENTRY, INNER
 
 # Ages are counted in steps that grow by a third of an octave each, from 1/240 s to three hours.
 STEPS = 64
@@ -23,13 +23,12 @@ OVERLAP = 0.5
 
 
 class Followed(NamedTuple):
-    """Tracks that the filter reports, or reported not long ago, and verdicts on those that were
-    missing.
+    """Tracks that the filter reports, or reported recently, and the outcomes of gaps.
 
     ``label`` (n,): ascending. ``last``, ``age`` (n,), seconds: when each was last detected, and how
     long it had been missing when it was last reported. ``xyxy``, ``speed`` (n, 4): the box of each
-    and its change in a second; those no longer reported keep on moving. ``verdicts`` (2, STEPS): of
-    those reported missing for as long, how many were found where they were predicted, and how many
+    and its change in a second; those no longer reported keep moving. ``verdicts`` (2, STEPS): how
+    many of those reported missing for as long were detected again at their prediction, and how many
     were not; older ones count less.
     """
 
@@ -42,8 +41,8 @@ class Followed(NamedTuple):
 
 
 class Reported(NamedTuple):
-    """States of a frame: labels (m,), their order, boxes (m, 4), when each was last detected, and
-    which are confirmed.
+    """States of a frame: labels (m,), their order, boxes (m, 4), the time when each was last
+    detected, and true for those that are confirmed.
     """
 
     label: I8
@@ -55,8 +54,8 @@ class Reported(NamedTuple):
 
 @njit(**ENTRY)
 def step_of(age: F8) -> I8:
-    """(n,) the step that is nearest to each age in seconds; ages of whole frames lie far from
-    halfway at all usual rates.
+    """(n,) the step that is nearest to each age in seconds; whole numbers of frames are far from
+    halfway between steps at all usual rates.
     """
     out = np.empty(age.size, np.int64)
     for i in range(age.size):
@@ -67,15 +66,34 @@ def step_of(age: F8) -> I8:
 
 @njit(**ENTRY)
 def returning(verdicts: F8, age: F8, expected: Bool, prior: float, share: float) -> Bool:
-    """(n,) whether more than the ``share`` of those missing as long were found; ``prior`` verdicts
-    are as ``expected``.
+    """(n,) true if more than the ``share`` of tracks that were missing as long were detected again;
+    ``prior`` outcomes are as ``expected``.
     """
     out = np.empty(age.size, np.bool_)
     step = step_of(age)
     for i in range(age.size):
-        found = verdicts[0, step[i]]
+        again = verdicts[0, step[i]]
         lost = verdicts[1, step[i]]
-        out[i] = found + (prior if expected[i] else 0.0) > share * (found + lost + prior)
+        out[i] = again + (prior if expected[i] else 0.0) > share * (again + lost + prior)
+    return out
+
+
+@njit(**INNER)
+def _judge(verdicts: F8, row: int, last_step: int, kept: float) -> None:
+    """Count one outcome for all ages up to a step."""
+    for s in range(last_step + 1):
+        verdicts[0, s] *= kept
+        verdicts[1, s] *= kept
+        verdicts[row, s] += 1
+
+
+@njit(**INNER)
+def _predicted(xyxy: F8, speed: F8, interval: float) -> F8:
+    """(n, 4) boxes that keep moving at their speed."""
+    out = np.empty(xyxy.shape)
+    for i in range(len(xyxy)):
+        for c in range(4):
+            out[i, c] = xyxy[i, c] + interval * speed[i, c]
     return out
 
 
@@ -83,65 +101,65 @@ def returning(verdicts: F8, age: F8, expected: Bool, prior: float, share: float)
 def after_frame(
     before: Followed, reported: Reported, now: float, interval: float, patience: float, kept: float
 ) -> Followed:
-    """Who is followed after a frame with these states, and the verdicts: each on all ages up to the
-    last reported one.
+    """The tracks that are followed after a frame, and the outcomes of gaps: each counts for all
+    ages up to the last reported one.
 
     In seconds: ``now``, the ``interval`` since the frame before, and the ``patience`` after which a
-    missing track is not found. A verdict leaves the share ``kept`` of those before it.
+    missing track counts as lost. An outcome leaves the share ``kept`` of those before it.
     """
     label, last, age, xyxy, speed, verdicts = before
-    tag, order, seen, when, confirmed = reported
+    tag, order, boxes, when, confirmed = reported
     n = label.size
     m = tag.size
     step = step_of(age)
-    verdicts = verdicts.copy()
-    names = np.empty(n + m, np.int64)
-    lasts = np.empty(n + m)
-    ages = np.empty(n + m)
-    boxes = np.empty((n + m, 4))
-    speeds = np.empty((n + m, 4))
-    ahead = np.empty((n, 4))
-    for i in range(n):
-        for c in range(4):
-            ahead[i, c] = xyxy[i, c] + interval * speed[i, c]
+    ahead = _predicted(xyxy, speed, interval)
+    out = Followed(
+        np.empty(n + m, np.int64),
+        np.empty(n + m),
+        np.empty(n + m),
+        np.empty((n + m, 4)),
+        np.empty((n + m, 4)),
+        verdicts.copy(),
+    )
     i = k = count = 0
     while i < n or k < m:
-        # The next label: j is its state, −1 where it has none now; i is its place where it was
-        # followed before.
+        # The next label: j is its state, −1 if it has none now; i is its row if it was followed
+        # before.
+        j = -1
         if k < m and (i == n or tag[order[k]] <= label[i]):
             j = order[k]
-        else:
-            j = -1
         old = i < n and (j < 0 or tag[j] == label[i])
-        found = j >= 0 and when[j] >= now
+        detected = j >= 0 and when[j] >= now
         late = old and now - last[i] > patience
-        if old and age[i] > 0 and (found or late):
-            if found and overlap_of(ahead, i, seen, j) >= OVERLAP:
-                row = 0
-            else:
-                row = 1
-            for s in range(step[i] + 1):
-                verdicts[0, s] *= kept
-                verdicts[1, s] *= kept
-                verdicts[row, s] += 1
+        if old and age[i] > 0 and (detected or late):
+            again = detected and overlap_of(ahead, i, boxes, j) >= OVERLAP
+            _judge(out.verdicts, 0 if again else 1, step[i], kept)
         if j >= 0:
-            # One verdict on each gap.
+            out.label[count] = tag[j]
+            out.last[count] = when[j]
+            # One outcome for each gap.
             missing = confirmed[j] and now - when[j] <= patience
-            names[count] = tag[j]
-            lasts[count] = when[j]
-            ages[count] = now - when[j] if missing else 0.0
+            out.age[count] = now - when[j] if missing else 0.0
+            for c in range(4):
+                out.xyxy[count, c] = boxes[j, c]
+                out.speed[count, c] = (boxes[j, c] - xyxy[i, c]) / interval if old else 0.0
+            k += 1
         else:
-            names[count] = label[i]
-            lasts[count] = last[i]
-            ages[count] = age[i]
-        for c in range(4):
-            boxes[count, c] = seen[j, c] if j >= 0 else ahead[i, c]
-            speeds[count, c] = (
-                0.0 if not old else (seen[j, c] - xyxy[i, c]) / interval if j >= 0 else speed[i, c]
-            )
-        k += 1 if j >= 0 else 0
-        i += 1 if old else 0
-        count += 0 if j < 0 and late else 1
+            out.label[count] = label[i]
+            out.last[count] = last[i]
+            out.age[count] = age[i]
+            for c in range(4):
+                out.xyxy[count, c] = ahead[i, c]
+                out.speed[count, c] = speed[i, c]
+        if old:
+            i += 1
+        if j >= 0 or not late:
+            count += 1
     return Followed(
-        names[:count], lasts[:count], ages[:count], boxes[:count], speeds[:count], verdicts
+        out.label[:count],
+        out.last[:count],
+        out.age[:count],
+        out.xyxy[:count],
+        out.speed[:count],
+        out.verdicts,
     )

@@ -26,83 +26,83 @@ from phdtrack.kernels.fast32 import ENTRY, INNER
 # Degrees of freedom of the errors of boxes, and of a camera's motion.
 FREEDOM = 4.0
 PRIOR_FREEDOM = 3.0
-# Pairs that are compared: centres within so many deviations, sizes within so large a difference of
-# logarithms.
+# Pairs are compared if their centres are within so many deviations, and the logarithms of their
+# sizes differ by less.
 NEAR = 6.0
 SIZES = 1.0
-# The same for shifts that are voted on, and how many cells the vote has on each side.
+# The same for the logarithms of sizes in the vote on shifts, and its number of cells on each side.
 LIKE = 0.4
 CELLS = 16
 ITERATIONS = 6
 CLOSE = 0.02
-# Deviations of shift, and of zoom and turn, of which nothing is known, in halves of the width.
+# Prior deviations of an unknown shift, and of zoom and turn, in halves of the width.
 ANY_SHIFT = 0.3
 ANY_ZOOM = 0.03
-# Least scale of a motion, in halves of the width; pixels that are none; frames that the beginning
-# counts for in learning.
+# Least scale of a motion, in halves of the width; smaller motions in pixels are none; the first
+# frame counts like so many in learning.
 LEAST = 1e-4
 NONE = 0.02
 FRAMES = 10.0
 # Deviations of a jump of shift, and of zoom and turn, in halves of the width; detections that must
-# agree on it; the share of targets, or of detections where they are fewer, that are found without
-# one: where it is more there was none.
+# agree on it. There was no jump if more than this share of targets, or of detections if these are
+# fewer, is detected without one.
 JUMP = 0.1
 JUMP_ZOOM = 0.01
 AGREE = 3
 MATCHED = 0.7
-# Of the density of a t-distribution in four dimensions.
+# Factor of the density of a t-distribution in four dimensions.
 DENSITY = math.gamma(0.5 * FREEDOM + 2.0) / math.gamma(0.5 * FREEDOM) / (FREEDOM * math.pi) ** 2
 Pairs = tuple[I8, F8, F8, F8]
 
 
 @njit(**ENTRY)
 def differences(mean: F8, covariance: F8, noise: F8, z: F8, scale: F8) -> tuple[F8, F8, F8]:
-    """(n, 4) centres and log sizes that targets predict, the variances of differences from them,
-    (N, 4) those of detections.
+    """(n, 4) predicted centres and log sizes of targets, and the variances of differences from
+    them; (N, 4) centres and log sizes of detections.
 
     ``mean``, ``covariance``: of boxes (n, d), (n, d, d). ``noise`` (n or 1, 4, 4), ``z`` (N, 4): of
     detections. ``scale`` (4,) multiplies variances.
     """
     n = len(mean)
     rows = (0, 1, 4, 5)
-    expected = np.empty((n, 4))
+    predicted = np.empty((n, 4))
     variance = np.empty((n, 4))
-    found = z.copy()
+    measured = z.copy()
     for i in range(n):
         for k in range(4):
             row = rows[k]
             own = covariance[i, row, row] + noise[min(i, len(noise) - 1), k, k]
+            size = 1.0
+            predicted[i, k] = mean[i, row]
             if k > 1:
                 size = max(mean[i, row], 1e-3)
-            else:
-                size = 1.0
-            expected[i, k] = math.log(size) if k > 1 else mean[i, row]
+                predicted[i, k] = math.log(size)
             variance[i, k] = max(scale[k] * own / (size * size), 1e-9)
     for j in range(len(z)):
         for k in range(2, 4):
-            found[j, k] = math.log(max(z[j, k], 1e-3))
-    return expected, variance, found
+            measured[j, k] = math.log(max(z[j, k], 1e-3))
+    return predicted, variance, measured
 
 
 @njit(**ENTRY)
-def voted(expected: F8, z: F8, half: float) -> tuple[float, float, float, float]:
-    """The shift that most differences of like boxes have, away from none: x, y, the cells' size,
-    differences in them.
+def voted(predicted: F8, z: F8, half: float) -> tuple[float, float, float, float]:
+    """The shift, other than 0, on which most differences of similar boxes agree: x, y, the size of
+    cells, and the number of differences.
 
-    ``expected`` (n, 4) and ``z`` (N, 4): centres and log sizes; ``half``: half of the width of the
+    ``predicted`` (n, 4) and ``z`` (N, 4): centres and log sizes; ``half``: half of the width of the
     image.
     """
     reach = ANY_SHIFT * half
-    cell = max(0.5 * math.exp(np.median(expected[:, 2])), reach / CELLS)
+    cell = max(0.5 * math.exp(np.median(predicted[:, 2])), reach / CELLS)
     side = int(reach / cell)
     votes = np.zeros((2 * side + 3, 2 * side + 3))
-    for i in range(len(expected)):
+    for i in range(len(predicted)):
         for j in range(len(z)):
-            x = (z[j, 0] - expected[i, 0]) / cell
-            y = (z[j, 1] - expected[i, 1]) / cell
+            x = (z[j, 0] - predicted[i, 0]) / cell
+            y = (z[j, 1] - predicted[i, 1]) / cell
             if abs(x) > side or abs(y) > side:
                 continue
-            if abs(z[j, 2] - expected[i, 2]) < LIKE and abs(z[j, 3] - expected[i, 3]) < LIKE:
+            if abs(z[j, 2] - predicted[i, 2]) < LIKE and abs(z[j, 3] - predicted[i, 3]) < LIKE:
                 votes[round(x) + side + 1, round(y) + side + 1] += 1.0
     best = 0.0
     right = 0
@@ -124,22 +124,30 @@ def voted(expected: F8, z: F8, half: float) -> tuple[float, float, float, float]
 
 @njit(**ENTRY)
 def fitted(
-    expected: F8, variance: F8, z: F8, detected: F8, density: float, frame: F8, scale: F8, start: F8
+    predicted: F8,
+    variance: F8,
+    z: F8,
+    detected: F8,
+    density: float,
+    frame: F8,
+    scale: F8,
+    start: F8,
 ) -> tuple[F8, F8, F8, float, F8]:
-    """The most probable motion near a ``start``: a shift, and how far off it may be.
+    """The most probable motion near a ``start``: a shift (2), and its deviation.
 
-    ``expected``, ``variance``, ``z`` as `differences` gives them; ``detected`` (n,): p_D of each
-    target; ``density``: λ; ``frame``: middle of the image and half of its width; ``scale`` (4,):
-    squared scales of the t-distributions that are the prior of θ, below 0 variances of Gaussians.
+    ``predicted``, ``variance``, ``z`` from `differences`; ``detected`` (n,): p_D of each target;
+    ``density``: λ; ``frame``: middle of the image and half of its width; ``scale`` (4,): squared
+    scales of the t-distributions that are the prior of θ, or, if negative, variances of Gaussians.
 
-    Back come, (4,) each, θ and what the detections say of each component without its prior, with
-    variances; the log of the probability of the detections; and (2, 4) the sums of squared errors
-    in their variances, whatever the motion is, and of pairs.
+    Returns, (4,) each, θ, its estimate without the prior and the variances of that; the
+    log-probability of the detections; and (2, 4) the sums of squared errors in units of their
+    variances, whatever the motion is, and of pairs.
     """
-    wide = start[2] * start[2]
-    pairs = _pairs(expected, variance, z, frame, start)
+    # The uncertainty of the start counts in the first step alone.
+    around = start[2] * start[2]
+    pairs = _pairs(predicted, variance, z, frame, start)
     weight = np.zeros(len(pairs[0]))
-    total = np.empty(len(expected))
+    total = np.empty(len(predicted))
     motion = np.zeros(4)
     spread = np.abs(scale)
     pull = np.empty(4)
@@ -148,10 +156,9 @@ def fitted(
     covariance = np.empty((4, 4))
     evidence = determinant = 0.0
     for step in range(ITERATIONS):
-        evidence = _weigh(
-            pairs, motion, wide if step == 0 else 0.0, detected, density, frame[2], weight, total
-        )
-        _sum(pairs, weight, wide if step == 0 else 0.0, frame[2], information, pull)
+        evidence = _weigh(pairs, motion, around, detected, density, frame[2], weight, total)
+        _sum(pairs, weight, around, frame[2], information, pull)
+        around = 0.0
         determinant = _invert(information, spread, covariance)
         before = motion
         motion = covariance @ pull
@@ -161,71 +168,75 @@ def fitted(
                 spread[k] = (PRIOR_FREEDOM * scale[k] + squared) / (PRIOR_FREEDOM + 1.0)
         if step > 1 and np.abs(motion - before).max() < CLOSE:
             break
-    seen = np.empty(4)
-    known = np.empty(4)
+    estimate = np.empty(4)
+    error = np.empty(4)
     evidence -= 0.5 * math.log(determinant)
     for k in range(4):
-        known[k] = 1.0 / max(1.0 / covariance[k, k] - 1.0 / spread[k], 1e-12)
-        seen[k] = known[k] * motion[k] / covariance[k, k]
-        # By Laplace's method, of which all is left out that both priors have.
-        off = motion[k] * motion[k] / abs(scale[k])
-        heavy = 0.5 * (PRIOR_FREEDOM + 1.0) * math.log(1.0 + off / PRIOR_FREEDOM)
-        evidence -= 0.5 * math.log(abs(scale[k])) + (heavy if scale[k] > 0.0 else 0.5 * off)
+        error[k] = 1.0 / max(1.0 / covariance[k, k] - 1.0 / spread[k], 1e-12)
+        estimate[k] = error[k] * motion[k] / covariance[k, k]
+        evidence -= _prior_penalty(motion[k], scale[k])
     squares = _errors(pairs, weight, total, detected, frame[2], information, pull)
-    return motion, seen, known, evidence, squares
+    return motion, estimate, error, evidence, squares
+
+
+@njit(**INNER)
+def _prior_penalty(motion: float, scale: float) -> float:
+    """−log of the prior density of a component of θ, by Laplace's method, without the terms that
+    both priors share.
+    """
+    off = motion * motion / abs(scale)
+    penalty = 0.5 * off
+    if scale > 0.0:
+        penalty = 0.5 * (PRIOR_FREEDOM + 1.0) * math.log(1.0 + off / PRIOR_FREEDOM)
+    return 0.5 * math.log(abs(scale)) + penalty
 
 
 @njit(**ENTRY)
-def found(
+def frame_motion(
     boxes: tuple[F8, F8, F8],
     rule: tuple[F8, float, F8, float, float, float, float],
     jumps: bool,
     excess: F8,
     weight: F8,
 ) -> tuple[F8, float, F8, F8, F8]:
-    """The motion (4,), its evidence, the sums of q with what the frame says of it, and the squares
-    of `fitted`.
+    """The motion (4,), its evidence, the sums of q after the frame, and the squares of `fitted`.
 
-    ``boxes``: as `differences` gives them; ``rule``: p_D of targets (n,), λ, the frame (3,), the
-    interval, and settings of `CommonMotion`; ``excess``, ``weight`` (4,): the sums before. With
-    ``jumps`` a sudden shift that many agree on is tried, too, where most targets are not where they
-    should be.
+    ``boxes`` from `differences`; ``rule``: p_D of targets (n,), λ, the frame (3,), the interval,
+    and settings of `CommonMotion`; ``excess``, ``weight`` (4,): the sums before. With ``jumps`` a
+    sudden shift on which many agree is tried, too, if most targets are not at their predictions.
     """
-    expected, variance, z = boxes
+    predicted, variance, z = boxes
     detected, density, frame, dt, jump_penalty, least_share, kept = rule
     least = (LEAST * frame[2] * dt) ** 2
     scale = np.empty(4)
     wide = np.empty(4)
     for k in range(4):
-        known = max(weight[k], 1e-300)
-        scale[k] = max((excess[k] / known - math.sqrt(2.0 / known)) * dt * dt, least)
+        total = max(weight[k], 1e-300)
+        scale[k] = max((excess[k] / total - math.sqrt(2.0 / total)) * dt * dt, least)
         wide[k] = -max(scale[k], (frame[2] * (JUMP if k < 2 else JUMP_ZOOM)) ** 2)
-    motion, seen, errors, evidence, squares = fitted(
-        expected, variance, z, detected, density, frame, scale, np.zeros(3)
-    )
+    fit = fitted(predicted, variance, z, detected, density, frame, scale, np.zeros(3))
+    motion, estimate, errors, evidence, squares = fit
     for k in range(4):
-        motion[k] = motion[k] if scale[k] > least else 0.0
-    if jumps and len(expected) >= AGREE and squares[1, 0] < MATCHED * min(len(expected), len(z)):
-        x, y, cell, votes = voted(expected, z, frame[2])
+        if not scale[k] > least:
+            motion[k] = 0.0
+    few = squares[1, 0] < MATCHED * min(len(predicted), len(z))
+    if jumps and few and len(predicted) >= AGREE:
+        x, y, cell, votes = voted(predicted, z, frame[2])
         if votes >= AGREE:
             at = np.array([x, y, cell])
-            other, shown, known_to, sure, all_squares = fitted(
-                expected, variance, z, detected, density, frame, wide, at
-            )
-            if sure - jump_penalty > evidence:
-                motion = other
-                seen = shown
-                errors = known_to
-                evidence = sure - jump_penalty
-                squares = all_squares
-    share = (least_share * np.median(np.exp(0.5 * (expected[:, 2] + expected[:, 3])))) ** 2
+            jump = fitted(predicted, variance, z, detected, density, frame, wide, at)
+            if jump[3] - jump_penalty > evidence:
+                motion, estimate, errors, evidence, squares = jump
+                evidence -= jump_penalty
+    share = (least_share * np.median(np.exp(0.5 * (predicted[:, 2] + predicted[:, 3])))) ** 2
     first = not weight.any()
     new_excess = np.empty(4)
     new_weight = np.empty(4)
     for k in range(4):
-        motion[k] = motion[k] if abs(motion[k]) >= NONE else 0.0
+        if not abs(motion[k]) >= NONE:
+            motion[k] = 0.0
         error = errors[k] + share
-        square = seen[k] * seen[k]
+        square = estimate[k] * estimate[k]
         counts = 1.0 / (scale[k] + error) ** 2
         # A t-distribution's scale: the farther out, the less a square counts.
         squared = square * (PRIOR_FREEDOM + 1.0) / (PRIOR_FREEDOM + square / (scale[k] + error))
@@ -235,22 +246,22 @@ def found(
 
 
 @njit(**INNER)
-def _pairs(expected: F8, variance: F8, z: F8, frame: F8, start: F8) -> Pairs:
-    """Pairs that may be one: target (P,), difference (P, 4), its variances (P, 4), place (P, 2) in
+def _pairs(predicted: F8, variance: F8, z: F8, frame: F8, start: F8) -> Pairs:
+    """Possible pairs: target (P,), difference (P, 4), its variances (P, 4), position (P, 2) in
     halves of the width.
     """
-    target = np.empty((len(expected) * len(z), 2), np.int64)
+    target = np.empty((len(predicted) * len(z), 2), np.int64)
     count = 0
     wide = start[2] * start[2]
-    for i in range(len(expected)):
-        x = expected[i, 0] + start[0]
-        y = expected[i, 1] + start[1]
+    for i in range(len(predicted)):
+        x = predicted[i, 0] + start[0]
+        y = predicted[i, 1] + start[1]
         across = NEAR * NEAR * (variance[i, 0] + wide)
         down = NEAR * NEAR * (variance[i, 1] + wide)
         for j in range(len(z)):
             if (z[j, 0] - x) ** 2 > across or (z[j, 1] - y) ** 2 > down:
                 continue
-            if abs(z[j, 2] - expected[i, 2]) < SIZES and abs(z[j, 3] - expected[i, 3]) < SIZES:
+            if abs(z[j, 2] - predicted[i, 2]) < SIZES and abs(z[j, 3] - predicted[i, 3]) < SIZES:
                 target[count, 0] = i
                 target[count, 1] = j
                 count += 1
@@ -261,11 +272,25 @@ def _pairs(expected: F8, variance: F8, z: F8, frame: F8, start: F8) -> Pairs:
         i = target[p, 0]
         j = target[p, 1]
         for k in range(4):
-            error[p, k] = z[j, k] - expected[i, k]
+            error[p, k] = z[j, k] - predicted[i, k]
             own[p, k] = variance[i, k]
-        place[p, 0] = (expected[i, 0] - frame[0]) / frame[2]
-        place[p, 1] = (expected[i, 1] - frame[1]) / frame[2]
+        place[p, 0] = (predicted[i, 0] - frame[0]) / frame[2]
+        place[p, 1] = (predicted[i, 1] - frame[1]) / frame[2]
     return target[:count, 0].copy(), error, own, place
+
+
+@njit(**INNER)
+def _residual(
+    error: F8, place: F8, p: int, motion: F8, half: float
+) -> tuple[float, float, float, float]:
+    """e − B θ of pair p."""
+    u = place[p, 0]
+    v = place[p, 1]
+    x = error[p, 0] - motion[0] - u * motion[2] + v * motion[3]
+    y = error[p, 1] - motion[1] - v * motion[2] - u * motion[3]
+    w = error[p, 2] - motion[2] / half
+    h = error[p, 3] - motion[2] / half
+    return x, y, w, h
 
 
 @njit(**INNER)
@@ -279,19 +304,14 @@ def _weigh(
     weight: F8,
     total: F8,
 ) -> float:
-    """The log-probability of the detections; writes what each pair counts to ``weight`` (P,), and
-    sums by target.
+    """The log-probability of the detections; writes the weight of each pair (P,), and their sums by
+    target into ``total``.
     """
     target, error, variance, place = pairs
     precision = np.empty(len(target))
     total[:] = 0.0
     for p in range(len(target)):
-        u = place[p, 0]
-        v = place[p, 1]
-        x = error[p, 0] - motion[0] - u * motion[2] + v * motion[3]
-        y = error[p, 1] - motion[1] - v * motion[2] - u * motion[3]
-        w = error[p, 2] - motion[2] / half
-        h = error[p, 3] - motion[2] / half
+        x, y, w, h = _residual(error, place, p, motion, half)
         across = variance[p, 0] + wide
         down = variance[p, 1] + wide
         square = x * x / across + y * y / down + w * w / variance[p, 2] + h * h / variance[p, 3]
@@ -311,7 +331,7 @@ def _weigh(
 
 @njit(**INNER)
 def _sum(pairs: Pairs, weight: F8, wide: float, half: float, information: F8, pull: F8) -> None:
-    """Writes Σ w Bᵀ S⁻¹ B to ``information`` (4, 4) and Σ w Bᵀ S⁻¹ e to ``pull`` (4,)."""
+    """Write Σ w Bᵀ S⁻¹ B into ``information`` (4, 4) and Σ w Bᵀ S⁻¹ e into ``pull`` (4,)."""
     _, error, variance, place = pairs
     a = np.zeros((4, 4))
     b = np.zeros(4)
@@ -343,8 +363,8 @@ def _sum(pairs: Pairs, weight: F8, wide: float, half: float, information: F8, pu
 
 @njit(**INNER)
 def _invert(information: F8, spread: F8, out: F8) -> float:
-    """The determinant of the information with that of a prior of variances ``spread`` (4,); its
-    inverse goes to ``out``.
+    """The determinant of the information with that of a prior of variances ``spread`` (4,); writes
+    its inverse into ``out``.
     """
     determinant = 1.0
     out[:] = information
@@ -370,7 +390,7 @@ def _invert(information: F8, spread: F8, out: F8) -> float:
 def _errors(
     pairs: Pairs, weight: F8, total: F8, detected: F8, half: float, information: F8, pull: F8
 ) -> F8:
-    """(2, 4) the sums of squared errors in variances, where nothing was known of the motion before,
+    """(2, 4) the sums of squared errors in units of their variances, without a prior of the motion,
     and of pairs.
     """
     target, error, variance, place = pairs
@@ -384,10 +404,7 @@ def _errors(
     for p in range(len(target)):
         u = place[p, 0]
         v = place[p, 1]
-        x = error[p, 0] - motion[0] - u * motion[2] + v * motion[3]
-        y = error[p, 1] - motion[1] - v * motion[2] - u * motion[3]
-        w = error[p, 2] - motion[2] / half
-        h = error[p, 3] - motion[2] / half
+        x, y, w, h = _residual(error, place, p, motion, half)
         zoom = c[2, 2] / (half * half)
         x = (
             x * x

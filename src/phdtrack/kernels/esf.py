@@ -25,7 +25,9 @@ def _log_add(a: float, b: float) -> float:
     if a < b:
         a, b = b, a
     # exp(-40) is below the last digit of 1.
-    total: float = a if b == -np.inf or b - a < -40.0 else a + np.log1p(np.exp(b - a))
+    if b == -np.inf or b - a < -40.0:
+        return a
+    total: float = a + np.log1p(np.exp(b - a))
     return total
 
 
@@ -67,8 +69,8 @@ def log_sums_without(log_a: F8, log_b: F8, products: F8, log_w: F8) -> F8:
             for j in range(min(k + 1, top)):
                 total += np.exp(products[k, j] + after[j] - largest)
             out[k] += np.log(total)
-        # What the factors behind k make of w: the coefficient j before k is led on to j or, by b_k
-        # t, to j + 1.
+        # w after the factors behind k: coefficient j before k contributes to j and, by b_k t, to j
+        # + 1.
         for j in range(top):
             after[j] = _log_add(log_a[k] + after[j], log_b[k] + after[j + 1])
     return out
@@ -76,8 +78,8 @@ def log_sums_without(log_a: F8, log_b: F8, products: F8, log_w: F8) -> F8:
 
 @njit(**ENTRY)
 def thinned(probability: F8, keep: float) -> F8:
-    """(n,) distribution of how many are left of a number with distribution ``probability`` (n,),
-    each kept with ``keep``.
+    """(n,) distribution of the number that is left of one with distribution ``probability`` (n,),
+    each kept with probability ``keep``.
 
     Horner's rule on Σ_l p_l (1 − keep + keep t)^l.
     """

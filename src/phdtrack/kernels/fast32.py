@@ -1,5 +1,5 @@
-"""Elementary functions and random numbers in float32, which vectorise (libm's do not), and the
-settings to compile with.
+"""Elementary functions and random numbers in float32, which vectorise (libm's do not), and options
+of compilation.
 
 The coefficients are near-minimax fits (Lawson's iteration on Chebyshev nodes); tests/kernels states
 and shows the errors. Random numbers depend on a counter and a key, so that threads cannot change a
@@ -22,11 +22,10 @@ from numba.extending import overload
 from phdtrack.kernels import Real
 from phdtrack.kernels.cache import njit
 
-# What lets sums be reordered and so vectorise, but keeps NaN and infinity (unlike
-# ``fastmath=True``).
+# Lets sums be reordered and so vectorise, but keeps NaN and infinity (unlike ``fastmath=True``).
 FAST = {"contract", "nsz", "arcp", "reassoc", "afn"}
-# How kernels are compiled. No wrapper for callers in C: there are none, and each would take a tenth
-# of a kernel's time.
+# Options of all kernels. No wrapper for callers in C: there are none, and each would take a tenth
+# of the time of compilation.
 LEAN = {"no_cfunc_wrapper": True, "error_model": "numpy"}
 ENTRY = LEAN | {"cache": True, "nogil": True}
 # For kernels that only kernels call: no wrapper for callers in Python either. A call from Python
@@ -34,8 +33,8 @@ ENTRY = LEAN | {"cache": True, "nogil": True}
 INNER = LEAN | {"no_cpython_wrapper": True}
 VECTOR = INNER | {"fastmath": FAST}
 
-# Numbers in the widest vector register; narrower ones divide it. Loops over whole registers leave
-# nothing over, which would be done one by one.
+# Numbers in the widest vector register; narrower ones divide it. Loops over whole registers have no
+# remainder, which would be done one by one.
 LANES = 16
 F = np.float32
 INT = np.int32
@@ -108,8 +107,8 @@ def whole(n: int) -> int:
 
 @njit(**VECTOR)
 def exp32(x: np.float32) -> np.float32:
-    """eˣ for x ≤ 0, relative error below 5e-7; e⁻⁸⁷ for everything smaller."""
-    x = x if x > LOWEST else LOWEST
+    """eˣ for x ≤ 0, relative error below 5e-7; e⁻⁸⁷ for smaller x."""
+    x = max(LOWEST, x)
     whole = np.floor(x * LOG2E + HALF)
     r = x - whole * LN2_HIGH - whole * LN2_LOW
     power = F(INT((INT(whole) + BIAS) << MANTISSA).view(np.float32))
@@ -121,8 +120,8 @@ def exp32(x: np.float32) -> np.float32:
 def log32(x: np.float32) -> np.float32:
     """log x for positive normal x, absolute error below 2e-7·(1 + |log x|)."""
     bits = F(x).view(np.int32)
-    # Every step back to 32 bits: Numba's sums of integers have 64, and half as many fit into a
-    # register.
+    # Each step is cast back to 32 bits: Numba's sums of integers have 64, and half as many fit into
+    # a register.
     e = INT(INT(bits - ROOT_HALF) >> MANTISSA)
     f = INT(bits - INT(e << MANTISSA)).view(np.float32) - ONE
     series = L0 + f * (
@@ -176,8 +175,8 @@ def unit(word: np.uint32) -> np.float32:
 
 @njit(**INNER)
 def xoroshiro(a: np.uint32, b: np.uint32) -> tuple[np.uint32, np.uint32, np.uint32]:
-    """A word of 32 bits, of which the upper are the better ones, and the state after it; (0, 0) is
-    no state.
+    """A word of 32 bits, of which the upper ones are better, and the state after it; (0, 0) is not
+    a state.
     """
     word = W((D(a) * STAR) & LOW)
     b = W(b ^ a)
@@ -186,13 +185,14 @@ def xoroshiro(a: np.uint32, b: np.uint32) -> tuple[np.uint32, np.uint32, np.uint
 
 
 def by_type(single: Callable[..., Any], double: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that is ``single`` where its last argument has 32 bits, and ``double`` elsewhere,
-    compiled or not.
+    """A function that calls ``single`` if its last argument has 32 bits, else ``double``, compiled
+    or not.
     """
 
     @wraps(single)
     def chosen(*args: Any) -> Any:
-        return (single if isinstance(args[-1], np.float32 | np.int32) else double)(*args)
+        form = single if isinstance(args[-1], np.float32 | np.int32) else double
+        return form(*args)
 
     @wraps(single)
     def typed(*args: Any) -> Callable[..., Any]:
@@ -223,8 +223,8 @@ def _log_double(x: Any) -> Any:
 
 
 def _key_single(x: Any) -> Any:
-    """An integer that is greater where x is: minima of integers vectorise, those of numbers that
-    may be NaN do not.
+    """An integer that sorts like x: minima of integers vectorise, those of numbers that may be NaN
+    do not.
     """
     bits = F(x).view(np.int32)
     return INT(bits ^ INT(INT(bits >> SIGN) & REST))

@@ -1,19 +1,20 @@
-"""Gaussians and measurements of one frame as arrays, and what all Gaussian filters compute of them
-[V06 (24)–(38)].
+"""Gaussians and measurements of one frame as arrays, and what all Gaussian filters compute from
+them [V06 (24)–(38)].
 
-A model answers for one frame with four records, which `models.gaussian` asks it for: `Predicted`
-(its motion), `Expected` (its sensor), `Measurements` (its sensor and its clutter) and `Births`.
-GM-PHD, GM-CPHD, PMB and MHT are compiled over these records and know nothing else of the model:
-boxes, ground plane, points and bearings, linear or by sigma points, are all the same here.
+For one frame a model is four records, which `models.gaussian` makes: `Predicted` (its motion),
+`Expected` (its sensor), `Measurements` (its sensor and its clutter) and `Births`. GM-PHD, GM-CPHD,
+PMB and MHT are compiled over these records and know nothing else of the model: boxes, ground plane,
+points and bearings, linear or by sigma points, are all the same here.
 
 For Gaussian i with expected measurement ẑ_i, spread H P Hᵀ (or that of its sigma points) and
 cross-covariance C = P Hᵀ, and measurement j, with R = R_i + R_j
 
-    S = H P Hᵀ + R = L D Lᵀ,   y = L⁻¹ (z_j − ẑ_i),   W = L⁻¹ Cᵀ d² = yᵀ D⁻¹ y,   log N(z_j; ẑ_i, S)
-    = −(d² + log |2πS|)/2,   m' = m + Wᵀ D⁻¹ y,   P' = P − Wᵀ D⁻¹ W
+    S = H P Hᵀ + R = L D Lᵀ,   y = L⁻¹ (z_j − ẑ_i),   W = L⁻¹ Cᵀ
+    d² = yᵀ D⁻¹ y,   log N(z_j; ẑ_i, S) = −(d² + log |2πS|)/2
+    m' = m + Wᵀ D⁻¹ y,   P' = P − Wᵀ D⁻¹ W
 
-which is symmetric by construction and needs no inverse. Where no noise belongs to a measurement, S
-is the same for all measurements and factored once for each Gaussian.
+which is symmetric by construction and needs no inverse. If no noise belongs to a measurement, S is
+the same for all measurements and factored once for each Gaussian.
 
 Arrays are C-contiguous, float64 or int64; the first axis counts Gaussians (J), births (B),
 measurements (N) or pairs (P). A state has d components, and r components of a measurement are
@@ -32,7 +33,7 @@ from numba import config
 from phdtrack.kernels import F8, I8, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.grid import cell_of
+from phdtrack.kernels.grid import cell_of, sorted_by_cell
 
 Period = tuple[float, ...]
 Axes = tuple[float, ...] | tuple[int, ...]
@@ -52,17 +53,17 @@ class Predicted(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What Gaussians say about measurements.
+    """Predicted measurements of Gaussians.
 
-    ``rows`` (r,), int64: what is compared with the components of a measurement. ``z`` (J, n):
-    ``rows`` of it are the expected measurement. ``covariance`` (J, n, n) of it without noise, H P
-    Hᵀ in these rows and columns; ``cross`` (J, d, n): of state and measurement, P Hᵀ in these
-    columns. ``noise`` (J, r, r): part of R that belongs to the target, (0, r, r) where none does.
-    ``p_detect`` (J,): at the mean.
+    ``rows`` (r,), int64: the rows of ``z`` that are compared with the components of a measurement.
+    ``z`` (J, n): predicted measurements ẑ. ``covariance`` (J, n, n): theirs without noise, H P Hᵀ
+    in these rows and columns. ``cross`` (J, d, n): of state and measurement, P Hᵀ in these columns.
+    ``noise`` (J, r, r): the part of R that belongs to the target, (0, r, r) if none does.
+    ``p_detect`` (J,): p_D at the mean.
 
-    A linear sensor shows ``rows`` of the state: ``z`` is the mean then, and ``covariance`` and
-    ``cross`` are the covariance of the Gaussians themselves. Of any other they are made of sigma
-    points, and ``rows`` are 0, 1, …, r − 1.
+    A linear sensor observes ``rows`` of the state: then ``z`` is the mean, and ``covariance`` and
+    ``cross`` are the covariance of the Gaussians themselves. For any other sensor they come from
+    sigma points, and ``rows`` are 0, 1, …, r − 1.
     """
 
     rows: I8
@@ -76,11 +77,11 @@ class Expected(NamedTuple):
 class Measurements(NamedTuple):
     """The measurements of a frame.
 
-    ``z`` (N, r) is compared with `Expected.z`. ``noise`` (N, r, r): part of R that belongs to the
-    measurement, added to that of the target, or (0, r, r). ``clutter`` (N,): κ(z), expected false
-    alarms per unit of measurement volume. ``period``: r numbers, 2π for angles, whose differences
-    are taken the short way round, else 0. A tuple: its length is known when a kernel is compiled,
-    and loops over it are unrolled.
+    ``z`` (N, r) is compared with `Expected.z`. ``noise`` (N, r, r): the part of R that belongs to
+    the measurement, added to that of the target, or (0, r, r). ``clutter`` (N,): κ(z), expected
+    false alarms per unit of measurement volume. ``period``: r numbers, 2π for angles, whose
+    differences are taken the short way round, else 0. A tuple, because its length is known when a
+    kernel is compiled, and loops over it are unrolled.
     """
 
     z: F8
@@ -92,8 +93,8 @@ class Measurements(NamedTuple):
 class NewTargets(NamedTuple):
     """Targets whose first detection is measurement j.
 
-    ``density`` (N,): theirs at the measurement, per unit of its volume. ``mean`` (N, d),
-    ``covariance`` (N, d, d): of their state.
+    ``density`` (N,): expected number of them at the measurement, per unit of its volume. ``mean``
+    (N, d), ``covariance`` (N, d, d) of their states.
     """
 
     density: F8
@@ -104,10 +105,10 @@ class NewTargets(NamedTuple):
 class Births(NamedTuple):
     """γT, the intensity of targets that appeared in the interval.
 
-    ``around``: γT at each measurement, and what the measurement says of a target there that nothing
-    else is known of. Filters leave out those whose measurement existing targets explain. ``weight``
-    (B,), ``mean`` (B, d), ``covariance`` (B, d, d): expected number of births of each Gaussian that
-    was given, wherever measurements are, and its moments.
+    ``around``: γT at each measurement, and the state that this measurement alone implies. Filters
+    leave out those whose measurement existing targets explain. ``weight`` (B,), ``mean`` (B, d),
+    ``covariance`` (B, d, d): fixed Gaussians, which do not depend on measurements, with their
+    expected numbers of births.
     """
 
     around: NewTargets
@@ -117,8 +118,9 @@ class Births(NamedTuple):
 
 
 def records(floats: str, integers: str) -> np.dtype[np.void]:
-    """The type of arrays of records with these fields; where nothing is compiled, Python must read
-    them as attributes.
+    """The type of arrays of records with these fields.
+
+    Without compilation Python must read the fields as attributes.
     """
     fields = [(name, "f8") for name in floats.split()] + [(name, "i8") for name in integers.split()]
     if config.DISABLE_JIT:
@@ -127,20 +129,20 @@ def records(floats: str, integers: str) -> np.dtype[np.void]:
 
 
 # A Gaussian and a measurement within the gate of each other: d², the first two components' part of
-# it, the log of the measurement's density, and what a filter weighs the pair with.
+# it, the log of the measurement's density, and the weight that a filter gives to the pair.
 PAIR = records("distance2 first log_density weight", "gaussian measurement")
-# For those whose noises are as the model says.
+# The ``tails`` of `gated` if all noises are the model's.
 GAUSSIAN = np.zeros((0, 3))
-# A measurement in `places_of`: its components along and across, and which one it is.
+# A measurement in `by_position`: its components along and across, and its number.
 SPOT = records("along across", "measurement")
 
 
 @njit(**INNER)
 def factor(cov: F8, root: F8) -> float:
-    """Log-determinant of ``cov`` (m, m), whose Cholesky factor is written into the lower part of
-    ``root`` (m, m).
+    """Log-determinant of ``cov`` (m, m); writes its Cholesky factor into the lower part of ``root``
+    (m, m).
 
-    NaN where the matrix is not positive definite, −∞ or NaN where it is singular.
+    NaN if the matrix is not positive definite, −∞ or NaN if it is singular.
     """
     product = 1.0
     for r in range(cov.shape[0]):
@@ -148,7 +150,10 @@ def factor(cov: F8, root: F8) -> float:
             value = cov[r, s]
             for t in range(s):
                 value -= root[r, t] * root[s, t]
-            root[r, s] = np.sqrt(value) if r == s else value / root[s, s]
+            if s < r:
+                root[r, s] = value / root[s, s]
+            else:
+                root[r, r] = np.sqrt(value)
         product *= root[r, r]
     log_det: float = 2.0 * np.log(product)
     return log_det
@@ -156,8 +161,8 @@ def factor(cov: F8, root: F8) -> float:
 
 @njit(**INNER)
 def norm2(step: F8, root: F8, y: F8) -> float:
-    """Squared Mahalanobis norm of ``step`` (m,) under the matrix that ``root`` factors; ``y`` (m,)
-    becomes L⁻¹ step.
+    """Squared Mahalanobis norm of ``step`` (m,) for the covariance with Cholesky factor ``root``;
+    ``y`` (m,) becomes L⁻¹ step.
     """
     total = 0.0
     for r in range(step.size):
@@ -174,7 +179,7 @@ def gaussian_parts(step: F8, cov: F8) -> tuple[F8, F8]:
     """(P,) squared Mahalanobis norms and log-determinants: ``step`` (m, P), ``cov`` (P, m, m)
     positive definite.
 
-    NaN where a matrix is not positive definite.
+    NaN if a matrix is not positive definite.
     """
     m, count = step.shape
     distance2 = np.empty(count)
@@ -189,10 +194,10 @@ def gaussian_parts(step: F8, cov: F8) -> tuple[F8, F8]:
 
 @njit(**INNER)
 def factored(s: F8, axes: Axes) -> float:
-    """The determinant of S, whose lower part is in ``s`` (r, r), which becomes the factors of S = L
-    D Lᵀ.
+    """The determinant of S, whose lower part is in ``s`` (r, r); replaces it by the factors of S =
+    L D Lᵀ.
 
-    L below the diagonal, D⁻¹ in it, (L D)ᵀ above it. NaN where S is not positive definite. ``axes``
+    L below the diagonal, D⁻¹ in it, (L D)ᵀ above it. NaN if S is not positive definite. ``axes``
     has r elements.
     """
     product = 1.0
@@ -217,11 +222,11 @@ def factored(s: F8, axes: Axes) -> float:
 def innovation(
     spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, period: Axes, s: F8
 ) -> float:
-    """|S| of Gaussian i and measurement j, whose factors are written into ``s`` (r, r), see
+    """|S| of Gaussian i and measurement j; writes the factors of S into ``s`` (r, r), see
     `factored`.
 
-    ``spread``, ``rows`` and ``noise`` are of `Expected`, ``extra`` is the noise and ``period`` that
-    of `Measurements`. Without noise of measurements j does not count.
+    ``spread``, ``rows`` and ``noise`` are of `Expected`, ``extra`` (the noise) and ``period`` of
+    `Measurements`. j does not matter if measurements have no noise of their own.
     """
     for a in range(len(period)):
         for b in range(a + 1):
@@ -235,15 +240,15 @@ def innovation(
 
 
 @njit(**INNER)
-def whitened(seen: F8, rows: I8, z: F8, i: int, j: int, period: Axes, s: F8, y: F8) -> float:
-    """d² of Gaussian i and measurement j, and L⁻¹ (z − ẑ) into ``y`` (r,).
+def whitened(predicted: F8, rows: I8, z: F8, i: int, j: int, period: Axes, s: F8, y: F8) -> float:
+    """d² of Gaussian i and measurement j; writes L⁻¹ (z − ẑ) into ``y`` (r,).
 
-    ``seen`` and ``rows`` are of `Expected`, ``z`` and ``period`` of `Measurements`, ``s`` of
-    `innovation`.
+    ``predicted`` (ẑ) and ``rows`` are of `Expected`, ``z`` and ``period`` of `Measurements`, ``s``
+    of `innovation`.
     """
     total = 0.0
     for a in range(len(period)):
-        value = z[j, a] - seen[i, rows[a]]
+        value = z[j, a] - predicted[i, rows[a]]
         if period[a] > 0.0:
             value -= period[a] * np.rint(value / period[a])
         for t in range(a):
@@ -254,72 +259,74 @@ def whitened(seen: F8, rows: I8, z: F8, i: int, j: int, period: Axes, s: F8, y: 
 
 
 @njit(**INNER)
-def places_of(z: F8, period: Axes) -> tuple[Records, I8, int, int, float, float, bool]:
-    """The measurements by cells along one of their first two components, the one on which they are
-    spread most.
+def by_position(z: F8, period: Axes) -> tuple[Records, I8, int, int, float, float, bool]:
+    """Sort the measurements into cells along one of their first two components, that with the
+    largest extent.
 
-    (N,) of `SPOT`, about one in each cell; where each begins (cells + 1,); that component, and the
-    other one; low and scale, a value lies in cell (value − low)·scale; whether what is far along an
-    axis is far altogether: not of angles, which are all in one cell. Raises ValueError where a
+    (N,) of `SPOT`, about one in each cell; where each cell begins (cells + 1,); that component, and
+    the other one; low and scale, a value lies in cell (value − low)·scale; whether a distance along
+    the axis bounds the distance: not for angles, which are all in one cell. Raises ValueError if a
     measurement is NaN or infinite.
     """
     n = len(z)
     along = 0 * len(z)
     low = 0.0
     widest = 0.0
-    near = False
+    bounded = False
     for a in range(len(period)):
-        least = np.inf
-        most = -np.inf
-        total = 0.0
-        for j in range(n):
-            value = z[j, a]
-            least = value if value < least else least
-            most = value if value > most else most
-            total = total + value
-        if not np.isfinite(total):
-            raise ValueError("measurements must be finite")
-        if period[a] == 0.0 and a < 2 and most - least > widest:
+        smallest, largest = _extent_of(z, a)
+        if period[a] == 0.0 and a < 2 and largest - smallest > widest:
             along = a
-            low = least
-            widest = most - least
-            near = True
+            low = smallest
+            widest = largest - smallest
+            bounded = True
+    across = along
     if len(period) > 1 and period[1 - along] == 0.0:
         across = 1 - along
-    else:
-        across = along
-    count = n if near else 1
-    scale = count / widest if near else 0.0
-    begin = np.empty(count + 1, np.int64)
-    spots = np.empty(n, SPOT)
-    for c in range(count + 1):
-        begin[c] = 0
+    count = 1
+    scale = 0.0
+    if bounded:
+        count = n
+        scale = count / widest
+    cell = np.empty(n, np.int64)
     for j in range(n):
-        begin[cell_of(z[j, along], low, scale, count)] += 1
-    # From the last one back: a cell's end becomes its beginning.
-    for c in range(count):
-        begin[c + 1] += begin[c]
-    for back in range(n):
-        j = n - 1 - back
-        c = cell_of(z[j, along], low, scale, count)
-        begin[c] -= 1
-        spot = spots[begin[c]]
-        spot.along = z[j, along]
-        spot.across = z[j, across]
-        spot.measurement = j
-    return spots, begin, along, across, low, scale, near
+        cell[j] = cell_of(z[j, along], low, scale, count)
+    begin, order = sorted_by_cell(cell, count)
+    spots = np.empty(n, SPOT)
+    for k in range(n):
+        spot = spots[k]
+        spot.along = z[order[k], along]
+        spot.across = z[order[k], across]
+        spot.measurement = order[k]
+    return spots, begin, along, across, low, scale, bounded
+
+
+@njit(**INNER)
+def _extent_of(z: F8, a: int) -> tuple[float, float]:
+    """The smallest and the largest value of component a; ValueError if one is not finite."""
+    smallest = np.inf
+    largest = -np.inf
+    total = 0.0
+    for j in range(len(z)):
+        value = z[j, a]
+        smallest = min(smallest, value)
+        largest = max(largest, value)
+        total = total + value
+    if not np.isfinite(total):
+        raise ValueError("measurements must be finite")
+    return smallest, largest
 
 
 @njit(**INNER)
 def with_tails(
     first: float, rest: float, count: int, position_scale: float, size_scale: float, freedom: float
 ) -> tuple[float, float]:
-    """d² by noises whose variances are c times the model's, and the log-density without
+    """d² for noises whose variances are c times the model's, and the log-density without
     −log(2π)^(m/2)√|S| [WH97 §10.8].
 
-    Each two of the ``count`` components, 2 or 4, are Student's t: −log c − (n/2 + 1) log(1 +
-    d²/(nc)), with d² by the model's noises ``first`` and ``rest``, c the two scales, and n the
-    ``freedom`` with which they are known.
+    Each two of the ``count`` components, 2 or 4, have Student's t-distribution: −log c − (n/2 + 1)
+    log(1 + d²/(nc)), with d² for the model's noises (``first`` and ``rest``), c the two scales, and
+    n their degrees of freedom.
     """
     own = first / position_scale
     power = 0.5 * freedom + 1.0
@@ -331,9 +338,76 @@ def with_tails(
 
 
 @njit(**INNER)
+def _largest_variance(noise: F8, a: int) -> float:
+    """The largest variance of component a in (N, r, r) covariances; 0 if there are none."""
+    largest = 0.0
+    for j in range(len(noise)):
+        largest = max(largest, noise[j, a, a])
+    return largest
+
+
+@njit(**INNER)
+def _gate_extent(
+    variance: float, noise: F8, tails: F8, i: int, a: int, gate: float, bounded: bool
+) -> float:
+    """Half the extent of the gate of Gaussian i in component a; ``variance`` is that of the
+    predicted measurement with the largest noise of a measurement.
+    """
+    if not bounded:
+        return np.inf
+    if len(noise) > 0:
+        variance = variance + noise[i, a, a]
+    if len(tails) > 0:
+        variance = variance * tails[i, 0]
+    extent: float = gate * np.sqrt(variance)
+    return extent
+
+
+@njit(**INNER)
+def _log_density(
+    d2: float, log_det: float, y: F8, s: F8, tails: F8, i: int, count: int
+) -> tuple[float, float, float]:
+    """d² by the noises of target i, the first two components' part of the model's d², and the log
+    of the measurement's density.
+
+    ``d2``, ``y``, ``s`` of `whitened`, ``log_det`` = log |2πS|, ``count`` components.
+    """
+    if len(tails) == 0:
+        return d2, d2, -0.5 * (d2 + log_det)
+    first = d2
+    if count > 2:
+        first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
+    own, value = with_tails(first, d2 - first, count, tails[i, 0], tails[i, 1], tails[i, 2])
+    return own, first, value - 0.5 * log_det
+
+
+@njit(**INNER)
+def _append(
+    pairs: Records, count: int, i: int, j: int, d2: float, first: float, log_density: float
+) -> Records:
+    """The pairs with another one behind the first ``count``, in a longer array if there is no
+    room.
+    """
+    if count == pairs.size:
+        longer = np.empty(2 * pairs.size, PAIR)
+        # In a loop, because Numba would compile code for error messages with an assignment of
+        # slices.
+        for q in range(pairs.size):
+            longer[q] = pairs[q]
+        pairs = longer
+    pair = pairs[count]
+    pair.gaussian = i
+    pair.measurement = j
+    pair.distance2 = d2
+    pair.first = first
+    pair.log_density = log_density
+    return pairs
+
+
+@njit(**INNER)
 def gated(
     rows: I8,
-    seen: F8,
+    predicted: F8,
     spread: F8,
     noise: F8,
     z: F8,
@@ -346,96 +420,47 @@ def gated(
     """(P,) of `PAIR`, the pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in
     Gaussians and pairs.
 
-    They are ordered by Gaussian. Their weight is not written. The first arguments are as `Expected`
-    and `Measurements` have them. Gaussians at which ``active`` (J,) is 0 are left out. ``tails``
+    They are ordered by Gaussian; their weight is not written. The first arguments are those of
+    `Expected` and `Measurements`. Gaussians at which ``active`` (J,) is 0 are left out. ``tails``
     (J, 3): c of the first two components and of two others, and n, see `with_tails`; `GAUSSIAN` for
     none.
     """
-    spots, begin, along, across, low, scale, near = places_of(z, period)
+    spots, begin, along, across, low, scale, bounded = by_position(z, period)
     s = np.empty((rows.size, rows.size))
     y = np.empty(rows.size)
-    wide = 0.0
-    high = 0.0
-    for j in range(len(extra)):
-        if extra[j, along, along] > wide:
-            wide = extra[j, along, along]
-        else:
-            wide = wide
-        if extra[j, across, across] > high:
-            high = extra[j, across, across]
-        else:
-            high = high
     row = rows[along]
     other = rows[across]
-    found = 0 * len(z)
+    wide = _largest_variance(extra, along)
+    high = _largest_variance(extra, across)
     cells = begin.size - 1
-    limit = gate * gate
-    pairs = np.empty(2 * len(seen) + 2 * len(z) + 16, PAIR)
-    for i in range(len(seen)):
+    count = 0 * len(z)
+    pairs = np.empty(2 * len(predicted) + 2 * len(z) + 16, PAIR)
+    for i in range(len(predicted)):
         if not active[i] > 0.0:
             continue
-        reach = spread[i, row, row] + wide
-        width = spread[i, other, other] + high
-        if len(noise) > 0:
-            reach = reach + noise[i, along, along]
-            width = width + noise[i, across, across]
-        if len(tails) > 0:
-            reach = reach * tails[i, 0]
-            width = width * tails[i, 0]
-        if near:
-            reach = gate * np.sqrt(reach)
-        else:
-            reach = np.inf
-        if near:
-            width = gate * np.sqrt(width)
-        else:
-            width = np.inf
-        x = seen[i, row]
-        middle = seen[i, other]
+        reach = _gate_extent(spread[i, row, row] + wide, noise, tails, i, along, gate, bounded)
+        width = _gate_extent(spread[i, other, other] + high, noise, tails, i, across, gate, bounded)
+        x = predicted[i, row]
+        middle = predicted[i, other]
         log_det = 0.0
-        known = False
-        for k in range(
-            begin[cell_of(x - reach, low, scale, cells)],
-            begin[cell_of(x + reach, low, scale, cells) + 1],
-        ):
+        factored_once = False
+        first_cell = cell_of(x - reach, low, scale, cells)
+        last_cell = cell_of(x + reach, low, scale, cells)
+        for k in range(begin[first_cell], begin[last_cell + 1]):
             spot = spots[k]
             if abs(spot.along - x) > reach or abs(spot.across - middle) > width:
                 continue
             j = spot.measurement
-            if len(extra) > 0 or not known:
-                log_det = (
-                    np.log(innovation(spread, rows, noise, extra, i, j, period, s))
-                    + len(period) * LOG_2PI
-                )
-                known = True
-            d2 = first = whitened(seen, rows, z, i, j, period, s, y)
-            reached = d2
-            value = -0.5 * (d2 + log_det)
-            if len(tails) > 0:
-                if len(period) > 2:
-                    first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
-                else:
-                    first = d2
-                reached, value = with_tails(
-                    first, d2 - first, len(period), tails[i, 0], tails[i, 1], tails[i, 2]
-                )
-                value -= 0.5 * log_det
-            if reached <= limit:
-                if found == pairs.size:
-                    more = np.empty(2 * found, PAIR)
-                    # In a loop: an assignment of a slice would compile Numba's code for its error
-                    # messages.
-                    for q in range(found):
-                        more[q] = pairs[q]
-                    pairs = more
-                pair = pairs[found]
-                pair.gaussian = i
-                pair.measurement = j
-                pair.distance2 = d2
-                pair.first = first
-                pair.log_density = value
-                found += 1
-    return pairs[:found]
+            if len(extra) > 0 or not factored_once:
+                determinant = innovation(spread, rows, noise, extra, i, j, period, s)
+                log_det = np.log(determinant) + len(period) * LOG_2PI
+                factored_once = True
+            d2 = whitened(predicted, rows, z, i, j, period, s, y)
+            own, first, log_density = _log_density(d2, log_det, y, s, tails, i, len(period))
+            if own <= gate * gate:
+                pairs = _append(pairs, count, i, j, d2, first, log_density)
+                count += 1
+    return pairs[:count]
 
 
 @njit(**INNER)
@@ -448,14 +473,14 @@ def write_posteriors(
     out_mean: F8,
     out_covariance: F8,
 ) -> None:
-    """Means and covariances of pairs after the update [V06 (37), (38)], into the first rows of the
-    outputs.
+    """Write means and covariances of pairs after the update [V06 (37), (38)] into the first rows of
+    the outputs.
 
-    ``pairs`` (P,) of `PAIR`: faster where those of one Gaussian follow each other. Those of
+    ``pairs`` (P,) of `PAIR`: faster if those of one Gaussian follow each other. Those of
     measurement −1 are left out.
     """
     rows = e.rows
-    seen = e.z
+    predicted = e.z
     spread = e.covariance
     cross = e.cross
     noise = e.noise
@@ -470,13 +495,12 @@ def write_posteriors(
     for p in range(pairs.size):
         i = pairs[p].gaussian
         j = pairs[p].measurement
-        k = p
         if j < 0:
             continue
         if len(extra) > 0 or i != last:
             innovation(spread, rows, noise, extra, i, j, period, s)
             last = i
-        whitened(seen, rows, z, i, j, period, s, y)
+        whitened(predicted, rows, z, i, j, period, s, y)
         for c in range(d):
             total = mean[i, c]
             for a in range(len(period)):
@@ -485,19 +509,49 @@ def write_posteriors(
                     value -= s[a, t] * w[c, t]
                 w[c, a] = value
                 total += value * s[a, a] * y[a]
-            out_mean[k, c] = total
+            out_mean[p, c] = total
             for b in range(c + 1):
                 value = covariance[i, c, b]
                 for a in range(len(period)):
                     value -= w[c, a] * s[a, a] * w[b, a]
-                out_covariance[k, c, b] = value
-                out_covariance[k, b, c] = value
+                out_covariance[p, c, b] = value
+                out_covariance[p, b, c] = value
 
 
-# The same two for callers in Python.
+@njit(**INNER)
+def copy_gaussian(
+    mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F8, k: int
+) -> None:
+    """Copy Gaussian i to row k of the outputs.
+
+    In loops, because Numba would compile code for error messages with an assignment of rows.
+    """
+    for a in range(mean.shape[1]):
+        out_mean[k, a] = mean[i, a]
+        for b in range(mean.shape[1]):
+            out_covariance[k, a, b] = covariance[i, a, b]
+
+
+# The same two, callable from Python.
 all_gated, all_posteriors = (
     njit(**ENTRY)(getattr(kernel, "py_func", kernel)) for kernel in (gated, write_posteriors)
 )
+
+
+@njit(**INNER)
+def _add_mean(share: float, states: F8, k: int, mean: F8, j: int) -> None:
+    """Add a share of state k to mean j."""
+    for a in range(mean.shape[1]):
+        mean[j, a] += share * states[k, a]
+
+
+@njit(**INNER)
+def _add_covariance(share: float, states: F8, covs: F8, k: int, mean: F8, cov: F8, j: int) -> None:
+    """Add a share of covariance k, about mean j, to covariance j."""
+    for a in range(mean.shape[1]):
+        for b in range(mean.shape[1]):
+            step = (states[k, a] - mean[j, a]) * (states[k, b] - mean[j, b])
+            cov[j, a, b] += share * (covs[k, a, b] + step)
 
 
 @njit(**ENTRY)
@@ -506,8 +560,8 @@ def first_states(
 ) -> NewTargets:
     """γ̂(z) = ∫ p_D g(z|x) γ(x) dx, and mean and covariance of p_D g(z|x) γ(x) given z.
 
-    ``p_detect`` (N,): of targets around each measurement. ``e``: what the births that are given say
-    of measurements.
+    ``p_detect`` (N,): p_D of targets around each measurement. ``e``: predicted measurements of the
+    fixed Gaussians of births.
     """
     around = births.around
     n = len(m.z)
@@ -521,46 +575,27 @@ def first_states(
     density = np.empty(n)
     for j in range(n):
         density[j] = p_detect[j] * around.density[j]
+    own = density.copy()
     for q in range(pairs.size):
         pair = pairs[q]
-        pair.weight = (
-            births.weight[pair.gaussian] * e.p_detect[pair.gaussian] * np.exp(pair.log_density)
-        )
+        i = pair.gaussian
+        pair.weight = births.weight[i] * e.p_detect[i] * np.exp(pair.log_density)
         density[pair.measurement] += pair.weight
     mean = np.zeros((n, d))
     cov = np.zeros((n, d, d))
-    # First the means, then the covariances about them.
-    for turn in range(2):
-        for q in range(pairs.size + n):
-            from_given = q < pairs.size
-            k = q if from_given else q - pairs.size
-            if from_given:
-                j = pairs[k].measurement
-            else:
-                j = k
-            if from_given:
-                weight = pairs[k].weight
-            else:
-                weight = p_detect[j] * around.density[j]
-            if not weight > 0.0:
-                continue
-            share = weight / density[j]
-            for a in range(d):
-                if from_given:
-                    state = states[k, a]
-                else:
-                    state = around.mean[j, a]
-                if turn == 0:
-                    mean[j, a] += share * state
-                    continue
-                for b in range(d):
-                    if from_given:
-                        other = states[k, b]
-                    else:
-                        other = around.mean[j, b]
-                    if from_given:
-                        value = covs[k, a, b]
-                    else:
-                        value = around.covariance[j, a, b]
-                    cov[j, a, b] += share * (value + (state - mean[j, a]) * (other - mean[j, b]))
+    for q in range(pairs.size):
+        j = pairs[q].measurement
+        if pairs[q].weight > 0.0:
+            _add_mean(pairs[q].weight / density[j], states, q, mean, j)
+    for j in range(n):
+        if own[j] > 0.0:
+            _add_mean(own[j] / density[j], around.mean, j, mean, j)
+    # Covariances are about the means, which are complete now.
+    for q in range(pairs.size):
+        j = pairs[q].measurement
+        if pairs[q].weight > 0.0:
+            _add_covariance(pairs[q].weight / density[j], states, covs, q, mean, cov, j)
+    for j in range(n):
+        if own[j] > 0.0:
+            _add_covariance(own[j] / density[j], around.mean, around.covariance, j, mean, cov, j)
     return NewTargets(density, mean, cov)

@@ -1,10 +1,10 @@
-"""Fewer Gaussians for the same intensity: prune, merge, cap, in time linear in their number.
+"""Mixture reduction: prune, merge and cap Gaussians, in time linear in their number.
 
-Merging as printed takes the strongest remaining Gaussian j and unites with it all i of small (m_i −
-m_j)ᵀ P_i⁻¹ (m_i − m_j), then the strongest of the rest, and so on. Asked the other way round: each
-Gaussian, by descending weight, joins the strongest head that it is near, or becomes a head itself.
-The groups are the same, and because the distance is in its own covariance, the heads that can be
-near lie in a rectangle about its mean: a grid of heads answers at once.
+Merging as printed takes the strongest remaining Gaussian j and merges with it all i of small (m_i −
+m_j)ᵀ P_i⁻¹ (m_i − m_j), then the strongest of the rest, and so on. Here it is the other way round:
+each Gaussian, by descending weight, joins the strongest head that it is near, or becomes a head
+itself. The groups are the same, and because the distance is in its own covariance, the heads that
+can be near lie in a rectangle about its mean: a grid of heads finds them at once.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Merging(NamedTuple):
     keep_mass: bool
 
 
-# Up to this many, insertion is faster than counting.
+# Up to so many numbers, insertion sort is faster than radix sort.
 FEW = 48
 BITS = 8
 SIZE = 1 << BITS
@@ -54,8 +54,8 @@ DIGITS = 8
 def descending(weight: F8) -> I8:
     """(J,) indices by descending weight (each ≥ 0, no NaN), the lower index first where equal.
 
-    The bits of positive floats sort like integers: a radix sort by bytes. A digit in which all
-    agree, as of the exponents of most mixtures, is skipped.
+    The bits of positive floats sort like integers: a radix sort by bytes. It skips a digit in which
+    all agree, as the exponents of most mixtures do.
     """
     n = weight.size
     order = np.empty(n, np.int64)
@@ -100,7 +100,7 @@ def descending(weight: F8) -> I8:
 
 @njit(**INNER)
 def _apart(step: F8, cov: F8, i: int, limit: float, axes: Axes) -> bool:
-    """Whether a single component shows that stepᵀ cov_i⁻¹ step is above ``limit``: it is at least
+    """True if a single component shows that stepᵀ cov_i⁻¹ step is above ``limit``: it is at least
     step_r² / cov_rr.
     """
     far = False
@@ -124,8 +124,8 @@ def _distance2(step: F8, factors: F8, axes: Axes) -> float:
 
 @njit(**INNER)
 def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, int]:
-    """Origin, inverse cell size and number of cells of the heads' grid: about four deviations, at
-    most 2 a Gaussian.
+    """Origin, inverse cell size and number of cells of the heads' grid: cells of about four
+    deviations, at most two cells a Gaussian.
     """
     n = alive.size
     x0 = np.inf
@@ -160,6 +160,91 @@ def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, 
     return x0, y0, nx / max(x1 - x0, 1e-9), ny / max(y1 - y0, 1e-9), nx, ny
 
 
+class Heads(NamedTuple):
+    """The groups so far: the Gaussian that is the ``head`` of each, and a grid of their means.
+
+    ``first`` (cells,): a group in each cell, ``after`` (n,): the next group in the same cell, −1:
+    none. ``x0``, ``y0``, ``sx``, ``sy``, ``nx``, ``ny``: origin, inverse cell size and number of
+    cells.
+    """
+
+    head: I8
+    first: I8
+    after: I8
+    x0: float
+    y0: float
+    sx: float
+    sy: float
+    nx: int
+    ny: int
+
+
+@njit(**INNER)
+def _by_weight(weight: F8, alive: I8) -> I8:
+    """The indices ``alive`` (n,) by descending weight."""
+    own = np.empty(alive.size)
+    for k in range(alive.size):
+        own[k] = weight[alive[k]]
+    order: I8 = descending(own)
+    for k in range(alive.size):
+        order[k] = alive[order[k]]
+    return order
+
+
+@njit(**INNER)
+def _strongest_near(
+    heads: Heads, x: F8, cov: F8, i: int, distance: float, step: F8, factors: F8, axes: Axes
+) -> int:
+    """The strongest group whose head is within ``distance`` of Gaussian i; −1: none.
+
+    ``step`` (d,) and ``factors`` (d, d) are scratch.
+    """
+    limit = distance * distance
+    px = x[i, 0]
+    py = x[i, 1]
+    reach_x = distance * np.sqrt(cov[i, 0, 0])
+    reach_y = distance * np.sqrt(cov[i, 1, 1])
+    head = heads.head
+    first = heads.first
+    after = heads.after
+    best = -1
+    left = cell_of(px - reach_x, heads.x0, heads.sx, heads.nx)
+    right = cell_of(px + reach_x, heads.x0, heads.sx, heads.nx)
+    top = cell_of(py - reach_y, heads.y0, heads.sy, heads.ny)
+    bottom = cell_of(py + reach_y, heads.y0, heads.sy, heads.ny)
+    known = False
+    for line in range(top, bottom + 1):
+        for column in range(left, right + 1):
+            g = first[line * heads.nx + column]
+            while g >= 0:
+                here = g
+                g = after[g]
+                # The strongest head counts; one that is weaker than the best so far cannot win.
+                if 0 <= best <= here:
+                    continue
+                if abs(x[head[here], 0] - px) > reach_x or abs(x[head[here], 1] - py) > reach_y:
+                    continue
+                for r in range(len(axes)):
+                    step[r] = x[head[here], r] - x[i, r]
+                if _apart(step, cov, i, limit, axes):
+                    continue
+                if not known:
+                    _factor_covariance(cov, i, factors, axes)
+                    known = True
+                if _distance2(step, factors, axes) <= limit:
+                    best = here
+    return best
+
+
+@njit(**INNER)
+def _factor_covariance(cov: F8, i: int, factors: F8, axes: Axes) -> None:
+    """Write the factors of covariance i, see `gaussian.factored`."""
+    for r in range(len(axes)):
+        for t in range(r + 1):
+            factors[r, t] = cov[i, r, t]
+    factored(factors, axes)
+
+
 @njit(**INNER)
 def _groups(
     weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes
@@ -169,59 +254,25 @@ def _groups(
     """
     n = alive.size
     d = len(axes)
-    own = np.empty(n)
+    order = _by_weight(weight, alive)
     group = np.empty(n, np.int64)
-    head = np.empty(n, np.int64)
-    for k in range(n):
-        own[k] = weight[alive[k]]
-    order = descending(own)
-    for k in range(n):
-        order[k] = alive[order[k]]
-    limit = distance * distance
     x0, y0, sx, sy, nx, ny = _cells(x, cov, alive)
     first = np.empty(nx * ny, np.int64)
-    after = np.empty(n, np.int64)
     for c in range(nx * ny):
         first[c] = -1
+    head = np.empty(n, np.int64)
+    after = np.empty(n, np.int64)
+    heads = Heads(head, first, after, x0, y0, sx, sy, nx, ny)
     factors = np.empty((d, d))
     step = np.empty(d)
     count = 0
     for k in range(n):
         i = order[k]
-        px = x[i, 0]
-        py = x[i, 1]
-        reach_x = distance * np.sqrt(cov[i, 0, 0])
-        reach_y = distance * np.sqrt(cov[i, 1, 1])
-        best = n
-        known = False
-        left = cell_of(px - reach_x, x0, sx, nx)
-        right = cell_of(px + reach_x, x0, sx, nx)
-        for line in range(cell_of(py - reach_y, y0, sy, ny), cell_of(py + reach_y, y0, sy, ny) + 1):
-            for column in range(left, right + 1):
-                g = first[line * nx + column]
-                while g >= 0:
-                    # The strongest head counts; a weaker one than found already need not be asked.
-                    if (
-                        g < best
-                        and abs(x[head[g], 0] - px) <= reach_x
-                        and abs(x[head[g], 1] - py) <= reach_y
-                    ):
-                        for r in range(d):
-                            step[r] = x[head[g], r] - x[i, r]
-                        if not _apart(step, cov, i, limit, axes):
-                            if not known:
-                                for r in range(d):
-                                    for t in range(r + 1):
-                                        factors[r, t] = cov[i, r, t]
-                                factored(factors, axes)
-                                known = True
-                            if _distance2(step, factors, axes) <= limit:
-                                best = g
-                    g = after[g]
-        if best == n:
+        best = _strongest_near(heads, x, cov, i, distance, step, factors, axes)
+        if best < 0:
             best = count
             head[count] = i
-            home = cell_of(py, y0, sy, ny) * nx + cell_of(px, x0, sx, nx)
+            home = cell_of(x[i, 1], y0, sy, ny) * nx + cell_of(x[i, 0], x0, sx, nx)
             after[count] = first[home]
             first[home] = count
             count += 1
@@ -229,20 +280,31 @@ def _groups(
     return order, group, head[:count]
 
 
+class GroupSums(NamedTuple):
+    """Sums over the members of k groups: ``mass`` (k,), how many they are ``members`` (k,), and,
+    for those of several, Σ w·step ``first`` (k, d) and Σ w (P + step stepᵀ) ``second`` (k, d, d),
+    its lower triangle, with steps from the head.
+    """
+
+    mass: F8
+    members: I8
+    first: F8
+    second: F8
+
+
 @njit(**INNER)
-def _united(
-    weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, axes: Axes, most: int, wanted: float
-) -> tuple[F8, F8, F8]:
-    """Mass (k,), mean (d, k) and covariance (k, d, d) of the groups, the ``most`` heaviest; see
-    `merged_rows`.
+def _summed(weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, axes: Axes) -> GroupSums:
+    """Sums over the members of the groups.
+
+    About the head, the strongest member, so that no digits are lost far from the origin.
     """
     d = len(axes)
     count = head.size
     mass = np.empty(count)
     step = np.empty(d)
     members = np.empty(count, np.int64)
-    about = np.empty((count, d))
-    spread = np.empty((count, d, d))
+    first = np.empty((count, d))
+    second = np.empty((count, d, d))
     for g in range(count):
         mass[g] = 0.0
         members[g] = 0
@@ -256,44 +318,65 @@ def _united(
         if members[g] == 1:
             continue
         if members[g] == 2:
-            # Sums about the head, the strongest, so that no digits are lost far from the origin.
             for r in range(d):
-                about[g, r] = 0.0
+                first[g, r] = 0.0
                 for s in range(r + 1):
-                    spread[g, r, s] = weight[h] * cov[h, r, s]
+                    second[g, r, s] = weight[h] * cov[h, r, s]
         for r in range(d):
             step[r] = x[i, r] - x[h, r]
-            about[g, r] += w * step[r]
+            first[g, r] += w * step[r]
             for s in range(r + 1):
-                spread[g, r, s] += w * (cov[i, r, s] + step[r] * step[s])
-    capped = 0 < most < count
-    size = most if capped else count
-    kept = descending(mass) if capped else order
+                second[g, r, s] += w * (cov[i, r, s] + step[r] * step[s])
+    return GroupSums(mass, members, first, second)
+
+
+@njit(**INNER)
+def _heaviest(mass: F8, most: int) -> I8:
+    """The groups that are kept: all in their order, or the ``most`` heaviest (0: no limit)."""
+    if 0 < most < mass.size:
+        order: I8 = descending(mass)[:most]
+        return order
+    return np.arange(mass.size)
+
+
+@njit(**INNER)
+def _merged(
+    sums: GroupSums, x: F8, cov: F8, head: I8, kept: I8, wanted: float, axes: Axes
+) -> tuple[F8, F8, F8]:
+    """Mass (k,), mean (d, k) and covariance (k, d, d) of the groups that are ``kept`` (k,); see
+    `merged_rows`.
+    """
+    mass, members, first, second = sums
+    d = len(axes)
+    size = kept.size
     total = 0.0
     for k in range(size):
-        total += mass[kept[k] if capped else k]
+        total += mass[kept[k]]
+    scale = 1.0
     if wanted >= 0.0 and total > 0.0:
         scale = wanted / total
-    else:
-        scale = 1.0
+    step = np.empty(d)
     out_mass = np.empty(size)
     out_mean = np.empty((d, size))
     out_cov = np.empty((size, d, d))
     for k in range(size):
-        g = kept[k] if capped else k
+        g = kept[k]
         i = head[g]
         out_mass[k] = scale * mass[g]
-        # A head without weight has members without weight: it stands for them.
-        single = members[g] == 1 or not mass[g] > 0.0
-        share = 0.0 if single else 1.0 / mass[g]
+        # A head without weight has members without weight: it represents them.
+        several = members[g] > 1 and mass[g] > 0.0
+        share = 0.0
+        if several:
+            share = 1.0 / mass[g]
         for r in range(d):
-            step[r] = 0.0 if single else about[g, r] * share
+            step[r] = 0.0
+            if several:
+                step[r] = first[g, r] * share
             out_mean[r, k] = x[i, r] + step[r]
             for s in range(r + 1):
-                if single:
-                    value = cov[i, r, s]
-                else:
-                    value = spread[g, r, s] * share - step[r] * step[s]
+                value = cov[i, r, s]
+                if several:
+                    value = second[g, r, s] * share - step[r] * step[s]
                 out_cov[k, r, s] = value
                 out_cov[k, s, r] = value
     return out_mass, out_mean, out_cov
@@ -303,9 +386,9 @@ def _united(
 def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float) -> tuple[F8, F8, F8]:
     """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d).
 
-    Each group has mass, mean and covariance of its members; they are ordered by the weights of
-    their strongest. The weights are scaled to the sum ``mass``; where it is negative they stay.
-    ValueError where a mean or a variance is NaN or infinite, or a variance negative.
+    Each group has mass, mean and covariance of its members; groups are ordered by the weights of
+    their strongest members. The weights are scaled to the sum ``mass``, unless it is negative.
+    ValueError if a mean or a variance is NaN or infinite, or a variance negative.
     """
     weight, x, cov = rows
     alive = np.empty(weight.size, np.int64)
@@ -318,7 +401,7 @@ def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float) -> tuple[F8, F8
     if count == 0:
         return np.empty(0), np.empty((len(axes), 0)), np.empty((0, len(axes), len(axes)))
     order, group, head = _groups(weight, x, cov, alive, s.merge_distance, axes)
-    out: tuple[F8, F8, F8] = _united(
-        weight, x, cov, order, group, head, axes, s.max_components, mass
-    )
+    sums = _summed(weight, x, cov, order, group, head, axes)
+    kept = _heaviest(sums.mass, s.max_components)
+    out: tuple[F8, F8, F8] = _merged(sums, x, cov, head, kept, mass, axes)
     return out

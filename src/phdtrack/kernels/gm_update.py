@@ -1,14 +1,13 @@
-"""The measurement update of a Gaussian-mixture PHD over the arrays that a model answers [V06
-(32)–(38); V07].
+"""The measurement update of a Gaussian-mixture PHD over the arrays of a model [V06 (32)–(38); V07].
 
-Two steps, between which the cardinalised filter weighs the terms in its own way: `terms_of` adds
-the births around measurements and finds what all Gaussians say of the measurements, `mixture_of`
+It has two steps, between which the cardinalised filter weighs the terms in its own way: `terms_of`
+adds the births around measurements and computes the likelihoods of all Gaussians, `mixture_of`
 makes the updated Gaussians.
 
-In them γ is flat around a measurement, and a Gaussian stands for it. Two conditions choose its mass
-m and its covariance aR in the rows of the state that the measurement shows: seen through the noise
-R it has the density of the flat γ at the measurement, and its mass is that of γ in the 99 % region
-{r² ≤ r₀²}, as of particles. In n dimensions, V_n the volume of the unit ball,
+γ is flat around a measurement, and a Gaussian represents it. Two conditions define its mass m and
+its covariance aR in the rows of the state that the measurement shows: with the noise R it has the
+density of the flat γ at the measurement, and its mass is that of γ in the 99 % region {r² ≤ r₀²},
+as for particles. In n dimensions, V_n the volume of the unit ball,
 
     m = γ V_n r₀ⁿ √|R|,     m N(0; 0, (1 + a) R) = γ     ⇒     1 + a = (V_n r₀ⁿ)^(2/n) / 2π
 
@@ -31,6 +30,7 @@ from phdtrack.kernels.gaussian import (
     Expected,
     Measurements,
     NewTargets,
+    copy_gaussian,
     factor,
     gated,
     write_posteriors,
@@ -45,8 +45,8 @@ class Newborn(NamedTuple):
     """Births ``around`` the measurements, a Gaussian each.
 
     ``rows`` (n,) of the state that a measurement shows, int64. ``volume``: V_n r₀ⁿ. ``stretch``: 1
-    + a. ``expected``: what these Gaussians say of measurements; where the sensor is linear
-    ``p_detect`` and ``rows`` alone.
+    + a. ``expected``: their predicted measurements; only ``p_detect`` and ``rows`` if the sensor is
+    linear.
     """
 
     around: NewTargets
@@ -57,11 +57,11 @@ class Newborn(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """How far Gaussians reach.
+    """Limits of an update.
 
-    ``gate``: measurements further from a Gaussian, in deviations of the innovation, do not touch
+    ``gate``: measurements farther from a Gaussian, in deviations of the innovation, do not update
     it. ``region``: squared distance within which predicted mass explains a measurement.
-    ``predicted``: how many Gaussians are predicted; those behind them are births that were given.
+    ``predicted``: number of predicted Gaussians; those behind them are fixed births.
     """
 
     gate: float
@@ -70,13 +70,14 @@ class Reach(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """The terms of an update, not weighed yet.
+    """The terms of an update, before they are weighed.
 
-    ``weight`` (N,), ``covariance`` (N, d, d), ``expected``: of the births around measurements, 0
-    where there is none, and what they say of measurements. ``pairs``, ``born_pairs``, of `PAIR`
-    weighed with p_D w q: those of the Gaussians, and of these births. ``evidence`` (N,): C(z).
-    ``explained`` (N,): 1/(κ + C), 0 where κ + C is, of which there are ``vanished``. ``predicted``,
-    ``born``, ``missed``: masses of D⁺, of the births within it and of (1 − p_D) D⁺.
+    ``weight`` (N,), ``covariance`` (N, d, d), ``expected``: weights of the births around
+    measurements, 0 for none, their covariances and predicted measurements. ``pairs``,
+    ``born_pairs``, of `PAIR` with weights p_D w q: those of the Gaussians, and of these births.
+    ``evidence`` (N,): C(z). ``explained`` (N,): 1/(κ + C), or 0 where κ + C is 0, which happens
+    ``vanished`` times. ``predicted``, ``born``, ``missed``: masses of D⁺, of the births in it and
+    of (1 − p_D) D⁺.
     """
 
     weight: F8
@@ -99,9 +100,9 @@ def _newborn(
     """Weights (N,), covariances (N, d, d) and the targets' part of R (N, r, r) of births around
     measurements.
 
-    The weight is 0, and the others are arbitrary, where a predicted mass of 1 or more within the
-    region about the measurement explains it. ``before`` (J,) are the weights of the Gaussians,
-    ``extra`` is the measurements' part of R.
+    If a predicted mass of 1 or more within the region about a measurement explains it, its weight
+    is 0 and the others are arbitrary. ``before`` (J,): weights of the Gaussians; ``extra``: the
+    measurements' part of R.
     """
     density = new.around.density
     first = new.around.covariance
@@ -137,67 +138,77 @@ def _newborn(
 
 @njit(**INNER)
 def _weigh(weight: F8, p_detect: F8, pairs: Records, evidence: F8) -> None:
-    """Weigh each pair with p_D w q, which is added to the ``evidence`` (N,) of its measurement."""
+    """Write the weight p_D w q of each pair, and add it to the ``evidence`` (N,) of its
+    measurement.
+    """
     for p in range(pairs.size):
         pair = pairs[p]
         pair.weight = p_detect[pair.gaussian] * weight[pair.gaussian] * np.exp(pair.log_density)
         evidence[pair.measurement] += pair.weight
 
 
-@njit(**ENTRY)
-def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach) -> Terms:
-    """The terms of the update; ``before`` are the predicted Gaussians, and behind them births that
-    were given.
+@njit(**INNER)
+def _pairs(weight: F8, e: Expected, m: Measurements, gate: float) -> Records:
+    """The pairs of Gaussians of a weight above 0 and measurements within the gate."""
+    pairs: Records = gated(
+        e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, weight, GAUSSIAN
+    )
+    return pairs
+
+
+@njit(**INNER)
+def _share_density(weight: F8, density: F8, pairs: Records, region: float) -> None:
+    """Scale the weights of births whose Gaussians overlap, so that together they have the density
+    of γ at each measurement.
     """
-    n = len(m.z)
-    density = new.around.density
-    z = m.z
-    extra = m.noise
-    period = m.period
-    said = new.expected
-    pairs = gated(
-        e.rows, e.z, e.covariance, e.noise, z, extra, period, reach.gate, before.weight, GAUSSIAN
-    )
-    weight, covariance, noise = _newborn(before.weight, extra, new, pairs, reach)
-    if len(said.covariance) == 0:
-        said = Expected(said.rows, new.around.mean, covariance, covariance, noise, said.p_detect)
-    born_pairs = gated(
-        said.rows,
-        said.z,
-        said.covariance,
-        said.noise,
-        z,
-        extra,
-        period,
-        reach.gate,
-        weight,
-        GAUSSIAN,
-    )
-    shared = np.zeros(n)
-    for p in range(born_pairs.size):
-        pair = born_pairs[p]
-        if pair.distance2 <= reach.region:
+    shared = np.zeros(weight.size)
+    for p in range(pairs.size):
+        pair = pairs[p]
+        if pair.distance2 <= region:
             shared[pair.measurement] += weight[pair.gaussian] * np.exp(pair.log_density)
-    predicted = 0.0
-    missed = 0.0
-    born = 0.0
-    vanished = 0 * n
-    for i in range(before.weight.size):
-        predicted += before.weight[i]
-        missed += before.weight[i] * (1.0 - e.p_detect[i])
-        born += before.weight[i] if i >= reach.predicted else 0.0
-    for j in range(n):
+    for j in range(weight.size):
         if weight[j] > 0.0:
             weight[j] *= density[j] / shared[j]
             # A detection is of one target at most.
-            weight[j] = weight[j] if weight[j] < 1.0 else 1.0
+            weight[j] = min(1.0, weight[j])
+
+
+@njit(**ENTRY)
+def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach) -> Terms:
+    """The terms of the update; ``before`` are the predicted Gaussians, and behind them fixed
+    births.
+    """
+    n = len(m.z)
+    density = new.around.density
+    born_e = new.expected
+    pairs = _pairs(before.weight, e, m, reach.gate)
+    weight, covariance, noise = _newborn(before.weight, m.noise, new, pairs, reach)
+    if len(born_e.covariance) == 0:
+        born_e = Expected(
+            born_e.rows, new.around.mean, covariance, covariance, noise, born_e.p_detect
+        )
+    born_pairs = _pairs(weight, born_e, m, reach.gate)
+    _share_density(weight, density, born_pairs, reach.region)
+    # Masses of D⁺, of the births in it, and of (1 − p_D) D⁺.
+    predicted = 0.0
+    missed = 0.0
+    born = 0.0
+    for i in range(before.weight.size):
+        predicted += before.weight[i]
+        missed += before.weight[i] * (1.0 - e.p_detect[i])
+        if i >= reach.predicted:
+            born += before.weight[i]
+    for j in range(n):
+        if weight[j] > 0.0:
             predicted += weight[j]
-            missed += weight[j] * (1.0 - said.p_detect[j])
+            missed += weight[j] * (1.0 - born_e.p_detect[j])
             born += weight[j]
+    # C(z) of each measurement.
     evidence = np.zeros(n)
-    explained = np.zeros(n)
     _weigh(before.weight, e.p_detect, pairs, evidence)
-    _weigh(weight, said.p_detect, born_pairs, evidence)
+    _weigh(weight, born_e.p_detect, born_pairs, evidence)
+    explained = np.zeros(n)
+    vanished = 0 * n
     for j in range(n):
         total = m.clutter[j] + evidence[j]
         if total >= SMALLEST:
@@ -207,7 +218,7 @@ def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Re
     return Terms(
         weight,
         covariance,
-        said,
+        born_e,
         pairs,
         born_pairs,
         evidence,
@@ -221,51 +232,52 @@ def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Re
 
 @njit(**INNER)
 def _missed(before: Rows, p_detect: F8, factor: float, threshold: float, out: Rows, k: int) -> int:
-    """Write Gaussians of weight (1 − p_D) ``factor`` behind the first k, but for those below the
-    threshold; how many now.
+    """Write the missed Gaussians, of weight (1 − p_D) ``factor``, from row k on, except those below
+    the threshold; returns the row behind them.
     """
     old_weight, old_mean, old_covariance = before
     weight, mean, covariance = out
-    d = mean.shape[1]
     for i in range(old_weight.size):
         value = factor * old_weight[i] * (1.0 - p_detect[i])
         if value >= threshold and old_weight[i] > 0.0:
             weight[k] = value
-            for r in range(d):
-                mean[k, r] = old_mean[i, r]
-                for s in range(d):
-                    covariance[k, r, s] = old_covariance[i, r, s]
+            copy_gaussian(old_mean, old_covariance, i, mean, covariance, k)
             k += 1
     return k
 
 
 @njit(**INNER)
 def _heavy(pairs: Records, detected: F8, threshold: float) -> tuple[Records, float]:
-    """The pairs, of their weight times ``detected``, that weigh no less than the threshold, and the
-    mass of all.
+    """The pairs whose weights, multiplied by ``detected`` of their measurements, reach the
+    threshold, and the mass of all pairs.
     """
     heavy = np.empty(pairs.size, PAIR)
     mass = 0.0
-    found = 0 * pairs.size
+    count = 0 * pairs.size
     for p in range(pairs.size):
         weight = pairs[p].weight * detected[pairs[p].measurement]
         mass += weight
         if weight >= threshold:
-            heavy[found] = pairs[p]
-            heavy[found].weight = weight
-            found += 1
-    return heavy[:found], mass
+            heavy[count] = pairs[p]
+            heavy[count].weight = weight
+            count += 1
+    return heavy[:count], mass
 
 
 @njit(**ENTRY)
 def mixture_of(
-    before: Rows, e: Expected, m: Measurements, new: Newborn, terms: Terms, weighing: tuple[float, F8], threshold: float
-) -> tuple[Rows, float]:  # fmt: skip
-    """The updated Gaussians, and their mass with what the threshold leaves out. The first arguments
-    are as of `terms_of`.
+    before: Rows,
+    e: Expected,
+    m: Measurements,
+    new: Newborn,
+    terms: Terms,
+    weighing: tuple[float, F8],
+    threshold: float,
+) -> tuple[Rows, float]:
+    """The updated Gaussians, and their mass before lighter ones than the ``threshold`` are dropped.
 
-    ``weighing``: the factor of (1 − p_D) D⁺, and those (N,) of the terms of each measurement.
-    Gaussians lighter than the ``threshold`` are left out.
+    The first arguments are those of `terms_of`. ``weighing``: the factor of (1 − p_D) D⁺, and those
+    (N,) of the terms of each measurement.
     """
     missed, detected = weighing
     d = before.mean.shape[1]
@@ -310,15 +322,14 @@ def phd_step(
     merging: Merging,
     axes: Axes,
 ) -> tuple[F8, F8, F8, F8, tuple[float, float, float], int]:
-    """An update, weighed as in the PHD filter [V06 (32)] by 1 and 1/(κ + C), and
-    `gm_merge.merged_rows`.
+    """A PHD update [V06 (32)], terms weighed by 1 and 1/(κ + C), and `gm_merge.merged_rows`.
 
-    Gaussians that pruning would drop are not made. The first arguments are as of `terms_of`, the
-    others as of `merged_rows`. Returns the Gaussians, means as (d, J), C(z) (N,), the masses
+    Gaussians that pruning would drop are not made. The first arguments are those of `terms_of`, the
+    others those of `merged_rows`. Returns the Gaussians, means as (d, J), C(z) (N,), the masses
     predicted, born and after the update, and the number of measurements with κ + C = 0.
     """
-    around, observed, volume, stretch, said = new
-    new = Newborn(NewTargets(*around), observed, volume, stretch, Expected(*said))
+    around, observed, volume, stretch, expected = new
+    new = Newborn(NewTargets(*around), observed, volume, stretch, Expected(*expected))
     before = Rows(*before)
     e = Expected(*e)
     m = Measurements(*m)
@@ -328,7 +339,10 @@ def phd_step(
     rows, mass = mixture_of(
         before, e, m, new, terms, (1.0, terms.explained), merging.weight_threshold
     )
-    weight, mean, covariance = merged_rows(rows, axes, merging, mass if merging.keep_mass else -1.0)
+    wanted = -1.0
+    if merging.keep_mass:
+        wanted = mass
+    weight, mean, covariance = merged_rows(rows, axes, merging, wanted)
     return (
         weight,
         mean,

@@ -1,8 +1,8 @@
-"""The one spatial grid: which rectangles or points of the position plane overlap a given rectangle.
+"""The one spatial grid: which rectangles or points of the position plane overlap a query rectangle.
 
 Rectangles are sorted into the cells of a regular grid by counting; a point is a rectangle whose
-corners are equal. A query looks at the cells that it reaches into and returns exactly what overlaps
-it: the grid only saves looking.
+corners are equal. A query visits the cells that it touches and returns exactly the rectangles that
+overlap it: the grid only saves comparisons.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Grid(NamedTuple):
     lower, upper : (2, N) corners.
     x0, y0 : the grid's lowest corner.
     per_x, per_y : cells per unit length.
-    columns, rows : number of cells along x and y.
+    columns, rows : numbers of cells along x and y.
     start, item : the rectangles in cell c = row · columns + column are item[start[c]] …
         item[start[c + 1] − 1], ascending.
     corner : (2, N) the first column and row of each rectangle.
@@ -55,44 +55,49 @@ def cell_of(value: float, origin: float, per_cell: float, count: int) -> int:
 
 
 @njit(**INNER)
+def sorted_by_cell(cell: I8, count: int) -> tuple[I8, I8]:
+    """(count + 1,) where the items of each cell begin, and (n,) the items by their ``cell`` (n,),
+    ascending in each (counting sort).
+    """
+    begin = np.zeros(count + 1, np.int64)
+    order = np.empty(cell.size, np.int64)
+    for i in range(cell.size):
+        begin[cell[i]] += 1
+    for c in range(count):
+        begin[c + 1] += begin[c]
+    # From the last item back: the end of a cell becomes its beginning.
+    for back in range(cell.size):
+        i = cell.size - 1 - back
+        begin[cell[i]] -= 1
+        order[begin[cell[i]]] = i
+    return begin, order
+
+
+@njit(**INNER)
 def _axis(lower: F8, upper: F8, axis: int, size: float) -> tuple[float, float, float]:
     """Origin, extent and cell size along an axis: the rectangles' mean extent, at least ``size``
-    and a thousandth of all.
+    and a thousandth of the whole extent.
     """
     n = lower.shape[1]
     low = np.inf
     high = -np.inf
     total = 0.0
     for j in range(n):
-        # Conditionals and not min and max: they compile faster.
-        if lower[axis, j] < low:
-            low = lower[axis, j]
-        else:
-            low = low
-        if upper[axis, j] > high:
-            high = upper[axis, j]
-        else:
-            high = high
+        low = min(low, lower[axis, j])
+        high = max(high, upper[axis, j])
         total += upper[axis, j] - lower[axis, j]
     if n == 0:
         return 0.0, 0.0, 1.0
-    if total / n > size:
-        size = total / n
-    else:
-        size = size
-    if size > (high - low) * 1e-3:
-        size = size
-    else:
-        size = (high - low) * 1e-3
-    return low, high - low, size if size > 1e-9 else 1e-9
+    size = max(size, total / n, (high - low) * 1e-3, 1e-9)
+    return low, high - low, size
 
 
 @njit(**ENTRY)
 def make_grid(lower: F8, upper: F8, width: float = 0.0, height: float = 0.0) -> Grid:
     """A grid over N closed rectangles, with finite corners (2, N); the same array twice for points.
 
-    It has at most 4 N + 16 cells, as large as the rectangles are on average where these are few
-    enough, and no smaller than ``width`` and ``height``.
+    It has at most 4 N + 16 cells, as large as the average rectangle if these are few enough, and no
+    smaller than ``width`` and ``height``.
     """
     n = lower.shape[1]
     x0, wide, width = _axis(lower, upper, 0, width)
@@ -103,10 +108,8 @@ def make_grid(lower: F8, upper: F8, width: float = 0.0, height: float = 0.0) -> 
     per_y = 1.0 / height
     if nx * ny > 4 * n + 16:
         shrink = np.sqrt((4 * n + 16) / (nx * ny))
-        fewer_x = np.floor(nx * shrink)
-        fewer_y = np.floor(ny * shrink)
-        fewer_x = fewer_x if fewer_x > 1.0 else 1.0
-        fewer_y = fewer_y if fewer_y > 1.0 else 1.0
+        fewer_x = max(1.0, np.floor(nx * shrink))
+        fewer_y = max(1.0, np.floor(ny * shrink))
         per_x = per_x * fewer_x / nx
         per_y = per_y * fewer_y / ny
         nx = fewer_x
@@ -137,37 +140,25 @@ def make_grid(lower: F8, upper: F8, width: float = 0.0, height: float = 0.0) -> 
 
 
 @njit(**INNER)
-def overlapping(left: float, top: float, right: float, bottom: float, grid: Grid, found: I8) -> int:
-    """Write into ``found`` (N,) the rectangles that the closed box overlaps, each once, by cells;
-    returns how many.
+def overlapping(left: float, top: float, right: float, bottom: float, grid: Grid, out: I8) -> int:
+    """Write the rectangles that the closed box overlaps into ``out`` (N,), each once, by cells;
+    returns how many there are.
     """
     lower = grid.lower
     upper = grid.upper
     corner = grid.corner
     count = 0
-    x0, x1 = (
-        cell_of(left, grid.x0, grid.per_x, grid.columns),
-        cell_of(right, grid.x0, grid.per_x, grid.columns),
-    )
-    y0, y1 = (
-        cell_of(top, grid.y0, grid.per_y, grid.rows),
-        cell_of(bottom, grid.y0, grid.per_y, grid.rows),
-    )
+    x0 = cell_of(left, grid.x0, grid.per_x, grid.columns)
+    x1 = cell_of(right, grid.x0, grid.per_x, grid.columns)
+    y0 = cell_of(top, grid.y0, grid.per_y, grid.rows)
+    y1 = cell_of(bottom, grid.y0, grid.per_y, grid.rows)
     for row in range(y0, y1 + 1):
         for column in range(x0, x1 + 1):
             cell = row * grid.columns + column
             for k in range(grid.start[cell], grid.start[cell + 1]):
                 j = grid.item[k]
                 # A rectangle in several cells counts in the first that it shares with the box.
-                if corner[0, j] > x0:
-                    first_x = corner[0, j]
-                else:
-                    first_x = x0
-                if corner[1, j] > y0:
-                    first_y = corner[1, j]
-                else:
-                    first_y = y0
-                if column != first_x or row != first_y:
+                if column != max(x0, corner[0, j]) or row != max(y0, corner[1, j]):
                     continue
                 if (
                     lower[0, j] <= right
@@ -175,7 +166,7 @@ def overlapping(left: float, top: float, right: float, bottom: float, grid: Grid
                     and lower[1, j] <= bottom
                     and upper[1, j] >= top
                 ):
-                    found[count] = j
+                    out[count] = j
                     count += 1
     return count
 
@@ -189,11 +180,11 @@ def overlapping_pairs(low: F8, high: F8, grid: Grid) -> tuple[I8, I8]:
     """
     m = low.shape[1]
     count = 0
-    found = np.empty(grid.lower.shape[1], np.int64)
+    near = np.empty(grid.lower.shape[1], np.int64)
     first = np.empty(4 * m + 16, np.int64)
     second = np.empty(4 * m + 16, np.int64)
     for i in range(m):
-        some = overlapping(low[0, i], low[1, i], high[0, i], high[1, i], grid, found)
+        some = overlapping(low[0, i], low[1, i], high[0, i], high[1, i], grid, near)
         if count + some > first.size:
             longer_first = np.empty(2 * (count + some), np.int64)
             longer_second = np.empty(2 * (count + some), np.int64)
@@ -202,15 +193,15 @@ def overlapping_pairs(low: F8, high: F8, grid: Grid) -> tuple[I8, I8]:
             first = longer_first
             second = longer_second
         first[count : count + some] = i
-        second[count : count + some] = found[:some]
+        second[count : count + some] = near[:some]
         count += some
     return first[:count].copy(), second[:count].copy()
 
 
 @njit(**ENTRY)
 def points_in_rectangles(at: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
-    """Pairs (P,) of points (2, L) and closed rectangles (2, N) that hold them, by rectangle;
-    ValueError if not finite.
+    """Pairs (P,) of points (2, L) and closed rectangles (2, N) that contain them, by rectangle;
+    ValueError if one is not finite.
     """
     # Cells made of infinities would lie outside the grid.
     if not np.isfinite(at.sum() + lower.sum() + upper.sum()):
@@ -221,11 +212,11 @@ def points_in_rectangles(at: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
 
 @njit(**ENTRY)
 def uncrowded(at: F8, half: F8, most: int) -> Bool:
-    """(N,) which points are kept, in their order: those that with fewer than ``most`` kept ones lie
-    in each other's boxes.
+    """(N,) true for the points that are kept, in their order: a point is dropped if it and ``most``
+    kept ones lie in each other's boxes.
 
     ``at``, ``half`` (2, N): the points, and half the sides of a closed box about each, finite.
-    ``most``: from 1.
+    ``most``: at least 1.
     """
     grid = make_grid(at - half, at + half, 0.0, 0.0)
     kept = np.ones(at.shape[1], np.bool_)

@@ -1,11 +1,11 @@
 """Modified K-means on particles in blocks: assignment, means, and the division of clusters that are
 too heavy [M07 §3].
 
-Distances are measured in units of the noise at the centre where a cluster began; a new centre takes
-over those of the cluster that it divides. A cluster holds particles in a window of positions about
-the place where it began. Most blocks have one centre in reach, or lie nearer to it than to any
-other by all of their box: their sums are known, and none of their particles is looked at. Only
-blocks near a centre that has moved are looked at again.
+Distances are in units of the noise at the centre where a cluster began; a new centre inherits the
+units of the cluster that it divides. A cluster holds particles in a window of positions about the
+place where it began. Most blocks have one centre in reach, or lie nearer to it than to any other
+with all of their box: their sums are known, and none of their particles is visited. Only blocks
+near a centre that has moved are visited again.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from phdtrack.kernels.particle_blocks import (
 
 # A centre that has moved by less than this many deviations has not moved.
 STILL = 0.02
-# A cluster with less than this share of all mass does not move: the difference of larger sums says
-# nothing of its place.
+# A cluster with less than this share of all mass does not move: its sums are differences of larger
+# ones, mere rounding.
 DUST = 1e-12
-# A cluster is not divided any more after this many divisions in which one part got less than this
-# share of the split mass: its farthest particles were strays, and peeling them off one by one would
-# not end.
+# A cluster is divided no more after this many divisions in which one part got less than this share
+# of the split mass: its farthest particles were strays, and peeling them off one by one would not
+# end.
 PATIENCE = 4
 STRAY = 0.05
 # Pairs of a block and a centre in its reach after which nothing is divided any more: hundreds of
@@ -62,10 +62,10 @@ class Centres(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Of one block, in whole registers.
+    """Working space for one block, in whole vector registers.
 
     ``row`` (2e + 4, n), e = d or d + 1 even: steps from the block's middle, distance², the least of
-    them, weights, weights of one cluster, and these times the steps; ``which`` (n,) the place in
+    them, weights, weights of one cluster, and these times the steps; ``which`` (n,) the index in
     ``among`` of each particle's cluster; ``among`` (2, ≥ k): entries of candidates and their
     centres.
     """
@@ -100,35 +100,28 @@ def _least_excess(at: F8, per: F8, a: int, b: int, box: F8, block: int) -> float
         cb = at[j, r]
         left = box[p, U(0), r]
         right = box[p, U(1), r]
-        # Without a branch, which would be missed; one that is no number, or outside, becomes an
-        # end.
-        vertex = (pb * cb - pa * ca) / (pb - pa)
-        vertex = vertex if vertex > left else left
-        vertex = vertex if vertex < right else right
+        # Without a branch, which would be mispredicted; NaN, or a vertex outside, becomes an end.
+        vertex = min(right, max(left, (pb * cb - pa * ca) / (pb - pa)))
         at_left = pb * (left - cb) * (left - cb) - pa * (left - ca) * (left - ca)
         at_right = pb * (right - cb) * (right - cb) - pa * (right - ca) * (right - ca)
         at_vertex = pb * (vertex - cb) * (vertex - cb) - pa * (vertex - ca) * (vertex - ca)
-        if at_right < at_left:
-            least = at_right
-        else:
-            least = at_left
-        total += at_vertex if at_vertex < least else least
+        total += min(at_left, at_right, at_vertex)
     return total
 
 
 @njit(**VECTOR)
 def _contenders(
     at: F8, per: F8, window: F8, box: F8, component: I8, begin: int, end: int, b: int, among: I8
-) -> tuple[int, bool]:  # fmt: skip
-    """Write the entries that may own a particle of block b, and their centres, into ``among``: how
-    many; if one owns all.
+) -> tuple[int, bool]:
+    """Write the entries that may own a particle of block b, and their centres, into ``among``.
 
-    ``box`` (B, 3, d): the blocks' corners and middles; ``component``: the centres of the entries.
+    Returns how many there are, and whether one owns all particles. ``box`` (B, 3, d): the blocks'
+    corners and middles; ``component``: the centres of the entries.
     """
     best = begin
     least = np.inf
     kept = 0
-    for e in range(begin, end if end > begin + 1 else begin):
+    for e in range(begin, end):
         j = U(component[e])
         distance2 = 0.0
         for r in range(U(at.shape[1])):
@@ -151,7 +144,7 @@ def _contenders(
 
 @njit(**VECTOR)
 def _holds(window: F8, j: int, box: F8, b: int) -> bool:
-    """Whether window j holds all of block b."""
+    """True if window j contains all of block b."""
     across: bool = (window[0, j] <= box[b, 0, 0]) & (box[b, 1, 0] <= window[2, j])
     along: bool = (window[1, j] <= box[b, 0, 1]) & (box[b, 1, 1] <= window[3, j])
     return across & along
@@ -160,7 +153,7 @@ def _holds(window: F8, j: int, box: F8, b: int) -> bool:
 @njit(**VECTOR)
 def _load(state: Real, weight: Real, start: I8, box: F8, b: int, row: Real) -> int:
     """Write the steps of the particles of block b from its middle, and their weights, in whole
-    registers: how many.
+    registers; returns how many numbers that are.
     """
     begin: int = start[b]
     n = start[b + 1] - begin
@@ -230,9 +223,9 @@ def _keep_closer(row: Real, which: I4, e: int, n: int, c: int) -> None:
 @njit(**VECTOR)
 def _nearest(
     row: Real, which: I4, n: int, at: F8, per: F8, window: F8, box: F8, among: I8, some: int, b: int
-) -> None:  # fmt: skip
-    """Write the nearest of the first ``some`` contenders in whose window each of n loaded particles
-    is (−1: none).
+) -> None:
+    """Write the nearest of the first ``some`` contenders whose window contains each of n loaded
+    particles (−1: none).
     """
     e = even(at.shape[1])
     real = row.dtype.type
@@ -254,7 +247,7 @@ def _nearest(
 
 @njit(**VECTOR)
 def _all_equal(which: I4, n: int) -> bool:
-    """Whether n particles have the same cluster."""
+    """True if n particles have the same cluster."""
     differs = np.int32(0)
     first = which[0]
     for i in range(U(n)):
@@ -291,9 +284,17 @@ def _sums(row: Real, n: int, out: F8, at: int) -> None:
 
 @njit(**INNER)
 def _move(
-    box: F8, near: Candidates, sums: F8, centres: Centres, mass: F8, steps: I8, moved: I8, stale: I8, limit: int
-) -> bool:  # fmt: skip
-    """Put the ``stale`` centres that may still move on their means; whether any has. Writes
+    box: F8,
+    near: Candidates,
+    sums: F8,
+    centres: Centres,
+    mass: F8,
+    steps: I8,
+    moved: I8,
+    stale: I8,
+    limit: int,
+) -> bool:
+    """Move the ``stale`` centres that may still move to their means; True if any has moved. Writes
     ``mass``, ``moved`` (k,).
     """
     at = centres.at
@@ -304,7 +305,8 @@ def _move(
     mean = np.zeros((k, d))
     going = False
     for j in range(k):
-        mass[j] = 0.0 if stale[j] else mass[j]
+        if stale[j]:
+            mass[j] = 0.0
     for b in range(first.size - 1):
         for e in range(first[b], first[b + 1]):
             j = component[e]
@@ -319,38 +321,71 @@ def _move(
         for r in range(d):
             mean[j, r] = mean[j, r] / mass[j] if mass[j] > least else 0.0
             away |= abs(mean[j, r]) * per[j, r] > STILL
-        moved[j] = 1 if away and steps[j] < limit else 0
-        steps[j] += moved[j]
-        for r in range(d if moved[j] else 0):
-            at[j, r] += mean[j, r]
-        going |= moved[j] == 1
+        moved[j] = away and steps[j] < limit
+        if moved[j]:
+            steps[j] += 1
+            for r in range(d):
+                at[j, r] += mean[j, r]
+            going = True
         stale[j] = 0
     return going
 
 
 @njit(**INNER)
-def _settle(
-    blocks: Blocks, box: F8, near: Candidates, centres: Centres, moved: I8, steps: I8, limit: int, scratch: Scratch, sums: F8
-) -> F8:  # fmt: skip
-    """Assignment and means in turn until no centre moves, each ``limit`` times at most: (k,) the
-    masses of the clusters.
-
-    ``moved`` (k,): whose blocks are to be looked at first. ``sums`` (P, 1 + d), mass and Σw·(x −
-    middle) of the entries of ``near``, are kept up.
-    """
+def _assign(
+    blocks: Blocks, box: F8, near: Candidates, centres: Centres, b: int, scratch: Scratch, sums: F8
+) -> None:
+    """Assign the particles of block b to the nearest centres, and write the sums of its entries."""
     at, per, window = centres
     row, which, among = scratch
+    begin = near.first[b]
+    end = near.first[b + 1]
+    d = at.shape[1]
+    some, owned = _contenders(at, per, window, box, near.component, begin, end, b, among)
+    owner = 0
+    n = 0
+    if not owned:
+        n = _load(blocks.state, blocks.weight, blocks.start, box, b, row)
+        _nearest(row, which, n, at, per, window, box, among, some, b)
+        owner = which[0]
+        owned = which[0] >= 0 and _all_equal(which, n)
+    for e in range(begin, end):
+        for r in range(1 + d):
+            sums[e, r] = 0.0
+    if owned:
+        entry = among[0, owner]
+        sums[entry, 0] = blocks.mass[b]
+        for r in range(d):
+            sums[entry, 1 + r] = blocks.first[b, r]
+        return
+    for c in range(some):
+        _share(row, which, even(d), n, c)
+        _sums(row, n, sums, among[0, c])
+
+
+@njit(**INNER)
+def _settle(
+    blocks: Blocks,
+    box: F8,
+    near: Candidates,
+    centres: Centres,
+    moved: I8,
+    steps: I8,
+    limit: int,
+    scratch: Scratch,
+    sums: F8,
+) -> F8:
+    """Assign particles and move centres in turn until no centre moves, each at most ``limit``
+    times: (k,) the masses of the clusters.
+
+    ``moved`` (k,): centres whose blocks are visited first. ``sums`` (P, 1 + d), mass and Σw·(x −
+    middle) of the entries of ``near``, are kept up to date.
+    """
     first = near.first
     component = near.component
-    state = blocks.state
-    weight = blocks.weight
-    start = blocks.start
-    known = blocks.mass
-    known_first = blocks.first
     mass = np.empty(moved.size)
     stale = np.ones(moved.size, np.int64)
     going = True
-    d = state.shape[0]
     while going:
         for b in range(first.size - 1):
             begin = first[b]
@@ -362,27 +397,9 @@ def _settle(
             # for good.
             if changed == 0 or (end == begin + 1 and sums[begin, 0] > 0.0):
                 continue
-            some, owned = _contenders(at, per, window, box, component, begin, end, b, among)
-            owner = 0
-            n = 0
-            if not owned:
-                n = _load(state, weight, start, box, b, row)
-                _nearest(row, which, n, at, per, window, box, among, some, b)
-                owner = which[0]
-                owned = which[0] >= 0 and _all_equal(which, n)
             for e in range(begin, end):
                 stale[component[e]] = 1
-                for r in range(1 + d):
-                    sums[e, r] = 0.0
-            if owned:
-                entry = among[0, owner]
-                sums[entry, 0] = known[b]
-                for r in range(d):
-                    sums[entry, 1 + r] = known_first[b, r]
-                continue
-            for c in range(some):
-                _share(row, which, even(d), n, c)
-                _sums(row, n, sums, among[0, c])
+            _assign(blocks, box, near, centres, b, scratch, sums)
         going = _move(box, near, sums, centres, mass, steps, moved, stale, limit)
     return mass
 
@@ -391,8 +408,8 @@ def _settle(
 def _farthest(
     blocks: Blocks, box: F8, near: Candidates, centres: Centres, heavy: I8, scratch: Scratch
 ) -> I8:
-    """(k,) of each ``heavy`` cluster the particle farthest from its centre; −1 of the others, or
-    where all are there.
+    """(k,) the particle farthest from the centre of each ``heavy`` cluster; −1 for the others, or
+    if all are at the centre.
     """
     at, per, window = centres
     row, which, among = scratch
@@ -408,24 +425,13 @@ def _farthest(
         if not concerned:
             continue
         some, _ = _contenders(at, per, window, box, component, first[b], first[b + 1], b, among)
-        _nearest(
-            row,
-            which,
-            _load(blocks.state, blocks.weight, start, box, b, row),
-            at,
-            per,
-            window,
-            box,
-            among,
-            some,
-            b,
-        )
+        n = _load(blocks.state, blocks.weight, start, box, b, row)
+        _nearest(row, which, n, at, per, window, box, among, some, b)
         for i in range(start[b + 1] - start[b]):
-            if which[i] >= 0:
-                j = among[1, which[i]]
-            else:
-                j = -1
-            if j >= 0 and heavy[j] and row[least, i] > apart[j]:
+            if which[i] < 0:
+                continue
+            j = among[1, which[i]]
+            if heavy[j] and row[least, i] > apart[j]:
                 apart[j] = row[least, i]
                 far[j] = start[b] + i
     return far
@@ -481,38 +487,59 @@ def _with_zeros(numbers: I8, size: int) -> I8:
 
 
 @njit(**INNER)
-def _moments(
-    blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratch: Scratch, sums: F8
-) -> Gaussians:
-    """Masses, means and covariances of the clusters, of which ``sums`` are known; one without
-    particles keeps its centre.
+def _owners(
+    blocks: Blocks, box: F8, near: Candidates, centres: Centres, b: int, scratch: Scratch, sums: F8
+) -> tuple[int, bool, int]:
+    """Write the contenders for block b, and assign its particles unless one of them owns all.
+
+    Returns how many contenders there are, whether one owns all, and how many particles are loaded.
     """
     at, per, window = centres
     row, which, among = scratch
-    start, near_first, component = near
-    k, d = at.shape
-    mean = at.T.copy()
+    begin = near.first[b]
+    end = near.first[b + 1]
+    some = 0
+    for entry in range(begin, end):
+        if sums[entry, 0] > 0.0:
+            among[0, some] = entry
+            among[1, some] = near.component[entry]
+            some += 1
+    owned = some == 1 and sums[among[0, 0], 0] == blocks.mass[b]
+    n = 0
+    if some > 0 and not owned:
+        some, _ = _contenders(at, per, window, box, near.component, begin, end, b, among)
+        n = _load(blocks.state, blocks.weight, blocks.start, box, b, row)
+        _nearest(row, which, n, at, per, window, box, among, some, b)
+    return some, owned, n
+
+
+@njit(**INNER)
+def _products(row: Real, which: I4, n: int, c: int, out: F8) -> None:
+    """Write the lower triangle of Σ w·s·sᵀ over the particles of the c-th contender."""
+    e = even(len(out))
+    out[:] = 0.0
+    _share(row, which, e, n, c)
+    weigh(row, e + 3, n, len(out))
+    add_products(row, e + 4, n, out)
+
+
+@njit(**INNER)
+def _moments(
+    blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratch: Scratch, sums: F8
+) -> Gaussians:
+    """Masses, means and covariances of the clusters with these ``sums``; one without particles
+    keeps its centre.
+    """
+    row, which, among = scratch
+    k, d = centres.at.shape
+    mean = centres.at.T.copy()
     mass = np.zeros(k)
     first = np.zeros((k, d))
     cov = np.zeros((k, d, d))
-    e = even(d)
     part = np.empty((d, d))
     shift = np.empty(d)
-    for b in range(near_first.size - 1):
-        begin = near_first[b]
-        end = near_first[b + 1]
-        some = 0
-        n = 0
-        for entry in range(begin, end):
-            if sums[entry, 0] > 0.0:
-                among[0, some] = entry
-                among[1, some] = component[entry]
-                some += 1
-        owned = some == 1 and sums[among[0, 0], 0] == blocks.mass[b]
-        if some > 0 and not owned:
-            some, _ = _contenders(at, per, window, box, component, begin, end, b, among)
-            n = _load(blocks.state, blocks.weight, start, box, b, row)
-            _nearest(row, which, n, at, per, window, box, among, some, b)
+    for b in range(near.first.size - 1):
+        some, owned, n = _owners(blocks, box, near, centres, b, scratch, sums)
         for c in range(some):
             entry = among[0, c]
             j = among[1, c]
@@ -522,23 +549,21 @@ def _moments(
                 continue
             if not owned:
                 second = part
-                part[:] = 0.0
-                _share(row, which, e, n, c)
-                weigh(row, e + 3, n, d)
-                add_products(row, e + 4, n, part)
+                _products(row, which, n, c, part)
             mass[j] += m
             for r in range(d):
                 shift[r] = box[b, 2, r] - mean[r, j]
                 one = sums[entry, 1 + r]
                 first[j, r] += one + m * shift[r]
                 for q in range(r + 1):
+                    other = sums[entry, 1 + q]
                     cov[j, r, q] += (
-                        second[r, q]
-                        + one * shift[q]
-                        + shift[r] * (sums[entry, 1 + q] + m * shift[q])
+                        second[r, q] + one * shift[q] + shift[r] * (other + m * shift[q])
                     )
     for j in range(k):
-        for r in range(d if mass[j] > 0.0 else 0):
+        if not mass[j] > 0.0:
+            continue
+        for r in range(d):
             first[j, r] /= mass[j]
             mean[r, j] += first[j, r]
             for q in range(r + 1):
@@ -547,11 +572,33 @@ def _moments(
     return Gaussians(mass, mean, cov)
 
 
+@njit(**INNER)
+def _joined(old: Centres, new: Centres) -> Centres:
+    """The old centres, then the new ones."""
+    at = np.concatenate((old.at, new.at))
+    per = np.concatenate((old.per, new.per))
+    return Centres(at, per, np.concatenate((old.window, new.window), axis=1))
+
+
+@njit(**VECTOR)
+def _count_strays(mass: F8, parent: I8, strays: I8, split: float) -> None:
+    """Count divisions in which one part got next to nothing of a heavy cluster.
+
+    The parts of the clusters ``parent`` are the last ones, in their order.
+    """
+    for c in range(parent.size):
+        i = parent[c]
+        j = mass.size - parent.size + c
+        if max(mass[i], mass[j]) > split and min(mass[i], mass[j]) < STRAY * split:
+            strays[i] += 1
+            strays[j] = strays[i]
+
+
 @njit(**(ENTRY | {"fastmath": FAST}))
 def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
     """Masses, means and covariances of the clusters that start at k ``centres`` (k, d).
 
-    ``scales`` (k, d) are the deviations for distances from them.
+    ``scales`` (k, d): the deviations that are the units of distances from them.
     """
     widest = whole(max(np.max(np.diff(blocks.start)), 1))
     k = centres.shape[0]
@@ -573,13 +620,10 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
     pairs = 0 * k
     for turn in range(1 + int(np.ceil(2.0 * blocks.mass.sum() / rule.split))):
         if turn > 0:
+            # Divide the heavy clusters at their farthest particles.
             new = _divided(blocks, now, far, parent, rule.reach)
             near, sums = _grown(near, sums, reaching(blocks, new.window[:2], new.window[2:]), k)
-            now = Centres(
-                np.concatenate((now.at, new.at)),
-                np.concatenate((now.per, new.per)),
-                np.concatenate((now.window, new.window), axis=1),
-            )
+            now = _joined(now, new)
             k += parent.size
             strays = _with_zeros(strays, k)
             steps = _with_zeros(steps, k)
@@ -588,12 +632,7 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
             moved[k - parent.size :] = 1
         scratch = Scratch(row, which, np.empty((2, k), np.int64))
         mass = _settle(blocks, box, near, now, moved, steps, rule.iterations, scratch, sums)
-        for c in range(parent.size):
-            i = parent[c]
-            j = k - parent.size + c
-            if max(mass[i], mass[j]) > rule.split and min(mass[i], mass[j]) < STRAY * rule.split:
-                strays[i] += 1
-                strays[j] = strays[i]
+        _count_strays(mass, parent, strays, rule.split)
         heavy = ((mass > rule.split) & (strays < PATIENCE)).astype(np.int64)
         far = _farthest(blocks, box, near, now, heavy, scratch)
         parent = np.flatnonzero(far >= 0)

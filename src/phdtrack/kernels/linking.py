@@ -1,7 +1,7 @@
 """Multi-frame graph matching, one frame at a time: candidate links, their gains, and the best
 matching [M07 §3].
 
-A vertex is an extracted state; vertices are numbered through. Its out-side is a column of the
+A vertex is an extracted state; vertices are numbered consecutively. Its out-side is a column of the
 assignment problem, its in-side a row. Rows younger than the window are open; a column stays open
 while the row that it is matched to is. The matching of maximum total gain is extended by one
 augmenting path per new row, and its dual variables are kept between frames (`kernels.association`).
@@ -25,11 +25,11 @@ from phdtrack.kernels.association import (
 )
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import factor, norm2
-from phdtrack.kernels.grid import make_grid, overlapping
+from phdtrack.kernels.gaussian import copy_gaussian, factor, norm2
+from phdtrack.kernels.grid import Grid, make_grid, overlapping
 
-# Links that a vertex may have, the best. Where 25 states are about it in each of 50 frames there
-# are more.
+# A vertex keeps its best links, at most so many. It has more if 25 states are near it in each of 50
+# frames.
 MOST_LINKS = 512
 
 
@@ -69,11 +69,11 @@ class Links(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """The conditions for links.
+    """Settings of links.
 
-    States are linked over a model time of ``window`` and ``max_distance`` deviations apart at most.
-    ``loose_end``: deviations from a typical prediction at which a link gains as much as two loose
-    ends. ``gap_cost``: nats per model time unit without a state.
+    States are linked over a model time of at most ``window`` and at most ``max_distance``
+    deviations. ``loose_end``: deviations from a typical prediction at which a link gains as much as
+    two loose ends. ``gap_cost``: nats per model time unit without a state.
     """
 
     window: float
@@ -98,32 +98,36 @@ class Fresh(NamedTuple):
 @njit(**INNER)
 def _kept(values: F8, begin: int, more: int, fill: float) -> F8:
     """A copy of ``values`` from ``begin`` on with ``more`` elements ``fill`` behind."""
-    out = np.empty(values.size - begin + more, values.dtype)
-    for k in range(out.size):
-        out[k] = values[begin + k] if begin + k < values.size else fill
+    left = values.size - begin
+    out = np.empty(left + more, values.dtype)
+    for k in range(left):
+        out[k] = values[begin + k]
+    for k in range(left, out.size):
+        out[k] = fill
     return out
 
 
 @njit(**INNER)
 def _log_det(covariance: F8, i: int, other: F8, j: int, observed: I8, block: F8, root: F8) -> float:
-    """log-determinant of the observed block of covariance i plus, unless j < 0, that of ``other``
-    j; ``root`` its factor.
+    """Log-determinant of the observed block of covariance i plus, unless j < 0, that of ``other``
+    j; writes its Cholesky factor into ``root``.
 
-    −∞ where the block is not positive definite.
+    −∞ if the block is not positive definite.
     """
     for a in range(observed.size):
         for b in range(observed.size):
             block[a, b] = covariance[i, observed[a], observed[b]]
             if j >= 0:
                 block[a, b] += other[j, observed[a], observed[b]]
-    found = factor(block, root)
-    return found if found > -np.inf else -np.inf  # also NaN
+    # Not NaN either.
+    log_det: float = max(-np.inf, factor(block, root))
+    return log_det
 
 
 @njit(**INNER)
 def _best_links(target: I8, gain: F8) -> int:
-    """How many edges of a vertex are kept, the best, which are moved to the front in their order:
-    at most `MOST_LINKS`.
+    """Move the best edges of a vertex to the front, at most `MOST_LINKS`, in their order; returns
+    how many there are.
     """
     if gain.size <= MOST_LINKS:
         return gain.size
@@ -137,14 +141,107 @@ def _best_links(target: I8, gain: F8) -> int:
     return kept
 
 
+class Bounds(NamedTuple):
+    """Bounds that limit the search for links.
+
+    Of the n new states: ``loose`` (n,) the gain of two loose ends, ``own`` (n,) log-determinants of
+    their covariances. Of the open vertices: ``price`` (R,) of the gap to them, ``predicted`` (R,)
+    log-determinants of their covariances. ``farthest``: squared distance beyond which nothing is
+    linked.
+    """
+
+    loose: F8
+    own: F8
+    price: F8
+    predicted: F8
+    farthest: float
+
+
+@njit(**INNER)
+def _limit(bounds: Bounds, c: int, loose: float, own: float) -> float:
+    """Squared distance within which a link to vertex c may gain anything.
+
+    A gain above 0 needs d² < 2·(loose ends − price of the gap) − log|S|, and |S| is at least that
+    of either covariance.
+    """
+    limit: float = 2.0 * (loose - bounds.price[c]) - max(bounds.predicted[c], own)
+    return min(limit, bounds.farthest)
+
+
+@njit(**INNER)
+def _bounds_of(covariance: F8, since: F8, fresh: Fresh, terms: Terms, dt: float) -> Bounds:
+    """Bounds of links from the new states to vertices with these covariances."""
+    old = since.size
+    n = fresh.mean.shape[0]
+    r = fresh.observed.size
+    block = np.empty((r, r))
+    root = np.empty((r, r))
+    loose = np.empty(n)
+    own = np.empty(n)
+    price = np.empty(old)
+    predicted = np.empty(old)
+    for i in range(n):
+        loose[i] = 0.5 * (terms.loose_end * terms.loose_end + factor(fresh.typical[i], root))
+        own[i] = _log_det(fresh.covariance, i, fresh.covariance, -1, fresh.observed, block, root)
+    for c in range(old):
+        price[c] = terms.gap_cost * (since[c] - dt)
+        predicted[c] = _log_det(covariance, c, fresh.covariance, -1, fresh.observed, block, root)
+    return Bounds(loose, own, price, predicted, terms.max_distance * terms.max_distance)
+
+
+@njit(**INNER)
+def _grid_of_vertices(mean: F8, covariance: F8, fresh: Fresh, bounds: Bounds) -> Grid:
+    """A grid of rectangles about the open vertices, outside of which no new state can be linked to
+    them.
+    """
+    old = bounds.price.size
+    widest = np.zeros(2)
+    best = -np.inf
+    least = np.inf
+    for i in range(fresh.mean.shape[0]):
+        best = max(best, bounds.loose[i])
+        least = min(least, bounds.own[i])
+        for a in range(2):
+            o = fresh.observed[a]
+            widest[a] = max(widest[a], fresh.covariance[i, o, o])
+    lower = np.empty((2, old))
+    upper = np.empty((2, old))
+    for c in range(old):
+        limit = _limit(bounds, c, best, least)
+        for a in range(2):
+            o = fresh.observed[a]
+            extent = 0.0
+            if limit > 0.0:
+                extent = np.sqrt(limit * (covariance[c, o, o] + widest[a]))
+            lower[a, c] = mean[c, o] - extent
+            upper[a, c] = mean[c, o] + extent
+    grid: Grid = make_grid(lower, upper, 0.0, 0.0)
+    return grid
+
+
+@njit(**INNER)
+def _step_within(
+    mean: F8, covariance: F8, c: int, fresh: Fresh, i: int, limit: float, step: F8
+) -> bool:
+    """Write the step from vertex c to new state i in the observed rows; False if the position
+    alone shows that it is too long.
+    """
+    near = True
+    for a in range(step.size):
+        o = fresh.observed[a]
+        step[a] = fresh.mean[i, o] - mean[c, o]
+        if a < 2:
+            spread = covariance[c, o, o] + fresh.covariance[i, o, o]
+            near = near and step[a] * step[a] <= limit * spread
+    return near
+
+
 @njit(**INNER)
 def _add_edges(
     mean: F8,
     covariance: F8,
-    since: F8,
     fresh: Fresh,
-    terms: Terms,
-    dt: float,
+    bounds: Bounds,
     row: int,
     start: I8,
     target: I8,
@@ -154,113 +251,50 @@ def _add_edges(
     ``start``.
 
     gain = log N(step; 0, S) − log-density of two loose ends − gap_cost·(since − dt), S = predicted
-    + new covariance, in the observed rows. A gain above 0 needs d² < 2·(loose ends − price of the
-    gap) − log|S|, and |S| is at least that of either.
+    + new covariance, in the observed rows. ``row``: number of the first open vertex.
     """
-    old = since.size
-    n = fresh.mean.shape[0]
+    old = bounds.price.size
     r = fresh.observed.size
-    farthest = terms.max_distance * terms.max_distance
     block = np.empty((r, r))
     root = np.empty((r, r))
     step = np.empty(r)
-    space = np.empty(r)
-    loose = np.empty(n)
-    own = np.empty(n)
-    widest = np.zeros(2)
-    best = -np.inf
-    least = np.inf
-    for i in range(n):
-        loose[i] = 0.5 * (terms.loose_end * terms.loose_end + factor(fresh.typical[i], root))
-        own[i] = _log_det(fresh.covariance, i, fresh.covariance, -1, fresh.observed, block, root)
-        best = loose[i] if loose[i] > best else best
-        least = own[i] if own[i] < least else least
-        for a in range(2):
-            spread = fresh.covariance[i, fresh.observed[a], fresh.observed[a]]
-            widest[a] = spread if spread > widest[a] else widest[a]
-    price = np.empty(old)
-    predicted = np.empty(old)
-    lower = np.empty((2, old))
-    upper = np.empty((2, old))
-    for c in range(old):
-        price[c] = terms.gap_cost * (since[c] - dt)
-        predicted[c] = _log_det(covariance, c, fresh.covariance, -1, fresh.observed, block, root)
-        limit = 2.0 * (best - price[c]) - (least if least > predicted[c] else predicted[c])
-        if farthest < limit:
-            limit = farthest
-        else:
-            limit = limit
-        for a in range(2):
-            o = fresh.observed[a]
-            if limit > 0.0:
-                reach = np.sqrt(limit * (covariance[c, o, o] + widest[a]))
-            else:
-                reach = 0.0
-            lower[a, c] = mean[c, o] - reach
-            upper[a, c] = mean[c, o] + reach
-    grid = make_grid(lower, upper, 0.0, 0.0)
-    found = np.empty(old, np.int64)
+    y = np.empty(r)
+    grid = _grid_of_vertices(mean, covariance, fresh, bounds)
+    near = np.empty(old, np.int64)
     count = start[old]
-    for i in range(n):
-        x = fresh.mean[i, fresh.observed[0]]
-        y = fresh.mean[i, fresh.observed[1]]
-        some = overlapping(x, y, x, y, grid, found)
+    for i in range(fresh.mean.shape[0]):
+        px = fresh.mean[i, fresh.observed[0]]
+        py = fresh.mean[i, fresh.observed[1]]
+        some = overlapping(px, py, px, py, grid, near)
         if count + some > target.size:
             target = _kept(target, 0, count + some, 0)
             gain = _kept(gain, 0, count + some, 0.0)
+        first = count
         for k in range(some):
-            c = found[k]
-            limit = 2.0 * (loose[i] - price[c]) - (
-                own[i] if own[i] > predicted[c] else predicted[c]
-            )
-            if farthest < limit:
-                limit = farthest
-            else:
-                limit = limit
-            near = True
-            for a in range(r):
-                o = fresh.observed[a]
-                step[a] = fresh.mean[i, o] - mean[c, o]
-                near = near and (
-                    a > 1
-                    or step[a] * step[a]
-                    <= limit * (covariance[c, o, o] + fresh.covariance[i, o, o])
-                )
-            if not near:
+            c = near[k]
+            limit = _limit(bounds, c, bounds.loose[i], bounds.own[i])
+            if not _step_within(mean, covariance, c, fresh, i, limit, step):
                 continue
             log_det = _log_det(covariance, c, fresh.covariance, i, fresh.observed, block, root)
-            distance2 = norm2(step, root, space)
-            value = loose[i] - price[c] - 0.5 * (distance2 + log_det)
-            if value > 0.0 and distance2 <= farthest:
+            distance2 = norm2(step, root, y)
+            value = bounds.loose[i] - bounds.price[c] - 0.5 * (distance2 + log_det)
+            if value > 0.0 and distance2 <= bounds.farthest:
                 target[count] = row + c
                 gain[count] = value
                 count += 1
-        count = start[old + i] + _best_links(
-            target[start[old + i] : count], gain[start[old + i] : count]
-        )
+        count = first + _best_links(target[first:count], gain[first:count])
         start[old + 1 + i] = count
     return target, gain
 
 
-@njit(**ENTRY)
-def link_states(
-    window: Window, predicted: F8, covariance: F8, fresh: Fresh, terms: Terms, dt: float
-) -> tuple[Window, int]:
-    """One frame of the open matching: time passes, old vertices are closed, n new ones are linked
-    [M07 §3].
+@njit(**INNER)
+def _close(window: Window, closed: int, fresh: int) -> tuple[I8, int]:
+    """The vertices matched to the out-sides after the first ``closed`` rows are closed, followed by
+    so many ``fresh`` ones, and how many of the first out-sides are closed.
 
-    ``predicted`` (R, d), ``covariance`` (R, d, d): the states of the window before, predicted for
-    the present frame; ``dt``: model time since then. The second number is how many rows of the old
-    window were closed: their links can no longer change.
+    A closed row takes its matched column with it, and a closed column without a row ends its track.
     """
-    n = fresh.mean.shape[0]
-    d = fresh.mean.shape[1]
-    closed = 0
-    while closed < window.since.size and window.since[closed] + dt > terms.window:
-        closed += 1
-    onward = _kept(window.next, 0, n, UNUSED)
-    # A closed row takes its matched column with it, and a closed column without a row ends its
-    # track.
+    onward = _kept(window.next, 0, fresh, UNUSED)
     for r in range(closed):
         if window.previous[r] >= 0:
             onward[window.previous[r] - window.column] = CLOSED
@@ -271,49 +305,70 @@ def link_states(
     gone = 0
     while gone < begin + closed and onward[gone] == CLOSED:
         gone += 1
-    old = window.since.size - closed
-    since = _kept(window.since, closed, n, -dt)
+    return onward, gone
+
+
+@njit(**INNER)
+def _open_states(predicted: F8, covariance: F8, closed: int, fresh: Fresh) -> tuple[F8, F8]:
+    """Means and covariances of the open vertices: those predicted that stay open, then the new
+    ones.
+    """
+    old = predicted.shape[0] - closed
+    n, d = fresh.mean.shape
     mean = np.empty((old + n, d))
     cov = np.empty((old + n, d, d))
+    for r in range(old):
+        copy_gaussian(predicted, covariance, closed + r, mean, cov, r)
+    for i in range(n):
+        copy_gaussian(fresh.mean, fresh.covariance, i, mean, cov, old + i)
+    return mean, cov
+
+
+@njit(**ENTRY)
+def link_states(
+    window: Window, predicted: F8, covariance: F8, fresh: Fresh, terms: Terms, dt: float
+) -> tuple[Window, int]:
+    """One frame of the open matching: old vertices are closed, n new ones are linked [M07 §3].
+
+    ``predicted`` (R, d), ``covariance`` (R, d, d): the states of the window before, predicted for
+    the present frame; ``dt``: model time since then. The second number is how many rows of the old
+    window were closed: their links can no longer change.
+    """
+    n = fresh.mean.shape[0]
+    # Close the vertices that have become older than the window.
+    closed = 0
+    while closed < window.since.size and window.since[closed] + dt > terms.window:
+        closed += 1
+    old = window.since.size - closed
+    onward, gone = _close(window, closed, n)
+    since = _kept(window.since, closed, n, -dt)
     for r in range(old + n):
         since[r] += dt
-        for a in range(d):
-            mean[r, a] = predicted[closed + r, a] if r < old else fresh.mean[r - old, a]
-            for b in range(d):
-                cov[r, a, b] = (
-                    covariance[closed + r, a, b] if r < old else fresh.covariance[r - old, a, b]
-                )
+    mean, cov = _open_states(predicted, covariance, closed, fresh)
+    # Link the new states to the open vertices.
     first = window.start[closed]
     start = _kept(window.start, closed, n, 0)
-    room = 8 * old + 64
     for r in range(old + 1):
         start[r] -= first
+    room = 8 * old + 64
     target = _kept(window.target, first, room, 0)
-    value = _kept(window.edge_gain, first, room, 0.0)
-    target, value = _add_edges(
-        mean, cov, since[:old], fresh, terms, dt, window.row + closed, start, target, value
-    )
-    target = target[: start[old + n]].copy()
-    value = value[: start[old + n]].copy()
-    onward = _kept(onward, gone, 0, UNUSED)
-    previous = _kept(window.previous, closed, n, -1)
-    gain = _kept(window.gain, closed, n, 0.0)
-    row_price = _kept(window.row_price, closed, n, 0.0)
-    prices = _kept(window.column_price, gone, n, 0.0)
-    column = window.column + gone
+    gain = _kept(window.edge_gain, first, room, 0.0)
+    bounds = _bounds_of(cov, since[:old], fresh, terms, dt)
     row = window.row + closed
+    target, gain = _add_edges(mean, cov, fresh, bounds, row, start, target, gain)
+    # Extend the matching by the new rows.
     after = Window(
-        column,
+        window.column + gone,
         row,
-        onward,
-        prices,
+        _kept(onward, gone, 0, UNUSED),
+        _kept(window.column_price, gone, n, 0.0),
         since,
-        previous,
-        gain,
-        row_price,
+        _kept(window.previous, closed, n, -1),
+        _kept(window.gain, closed, n, 0.0),
+        _kept(window.row_price, closed, n, 0.0),
         start,
-        target,
-        value,
+        target[: start[old + n]].copy(),
+        gain[: start[old + n]].copy(),
         mean,
         cov,
     )
@@ -326,20 +381,24 @@ def _match_rows(w: Window, first: int) -> None:
     """Match the rows of a new window from place ``first`` on, in place; those before it are matched
     optimally.
     """
-    # In place of the vertices' numbers, places among the open ones; a column below 0 is no longer
-    # open.
+    # Columns and rows are counted from the first open one; a column below 0 is no longer open.
     edges = Edges(w.start, w.target - w.column, w.edge_gain)
     x = Matching(w.previous, w.next, w.row_price, w.column_price)
-    for r in range(w.previous.size):
-        x.column[r] -= w.column if x.column[r] >= 0 else 0
-    for c in range(w.next.size):
-        x.row[c] -= w.row if x.row[c] >= 0 else 0
+    _shift(x.column, -w.column)
+    _shift(x.row, -w.row)
     paths = new_paths(w.next.size)
     none = np.zeros(w.next.size + 1, np.bool_)
     for row in range(first, w.since.size):
         augment(edges, row, -1, none, x, paths)
     for r in range(w.previous.size):
         w.gain[r] = gain_of(edges, r, x.column[r])
-        x.column[r] += w.column if x.column[r] >= 0 else 0
-    for c in range(w.next.size):
-        x.row[c] += w.row if x.row[c] >= 0 else 0
+    _shift(x.column, w.column)
+    _shift(x.row, w.row)
+
+
+@njit(**INNER)
+def _shift(numbers: I8, by: int) -> None:
+    """Add ``by`` to the numbers of 0 and above."""
+    for k in range(numbers.size):
+        if numbers[k] >= 0:
+            numbers[k] += by

@@ -1,5 +1,5 @@
-"""The chain of the MCMC filter: Metropolis–Hastings over which targets exist and which measurement
-each gave [K05].
+"""The chain of the MCMC filter: Metropolis–Hastings over the existence of targets and their
+measurements [K05].
 
 See `filters.mcmc`. The potential that keeps two targets apart is exp(−strength · overlap), where
 the overlap is the intersection over union of their boxes.
@@ -20,10 +20,11 @@ from phdtrack.kernels.particle_models import BLOCK, distance, prepare, seen
 
 
 class Chain(NamedTuple):
-    """How a chain runs.
+    """Settings of a chain.
 
-    ``burn`` sweeps before the first that is kept, one of every ``thin``, until ``samples`` are
-    kept; ``share`` of steps that move two candidates; ``strength`` of the interaction, 0: none.
+    ``burn``: sweeps before the first that is kept; then one of every ``thin`` is kept, until there
+    are ``samples``. ``share`` of steps that move two candidates; ``strength`` of the interaction,
+    0: none.
     """
 
     burn: int
@@ -34,19 +35,19 @@ class Chain(NamedTuple):
 
 
 class Options(NamedTuple):
-    """What C candidates may be: options, and the states (entries) of each.
+    """The options of C candidates, and the states (entries) of each option.
 
-    Candidate c's options are ``first``[c] … first[c + 1] − 1, the first of them that the target
-    does not exist. ``seen_by``, ``total`` (O,): measurement of each option, −1 for none, and its
-    weight; its entries are ``start``[o] … start[o + 1] − 1. ``running``, ``member`` (T,): sums of
-    weights within each option, and the state of each entry. ``box`` (L, 4): left, top, right,
+    Candidate c's options are ``first``[c] … first[c + 1] − 1; the first of them is that the target
+    does not exist. ``measurement``, ``total`` (O,): measurement of each option, −1 for none, and
+    its weight; its entries are ``start``[o] … start[o + 1] − 1. ``running``, ``member`` (T,): sums
+    of weights within each option, and the state of each entry. ``box`` (L, 4): left, top, right,
     bottom of each state. The candidates with a box that may overlap one of candidate c, ascending,
     are ``near``[near_start[c]] … near[``near_start``[c + 1] − 1]. Without interaction both are
     empty.
     """
 
     first: I8
-    seen_by: I8
+    measurement: I8
     total: F8
     start: I8
     running: F8
@@ -94,7 +95,7 @@ def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, b
     entries = candidate.size
     first = np.empty(count + 1, np.int64)
     most = count + entries
-    seen_by = np.full(most, -1)
+    measurement = np.full(most, -1)
     total = np.zeros(most)
     start = np.empty(most + 1, np.int64)
     running = np.empty(entries)
@@ -106,9 +107,9 @@ def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, b
         start[o] = e
         o += 1
         while e < entries and candidate[e] == c:
-            seen_by[o] = which[e]
+            measurement[o] = which[e]
             start[o] = e
-            while e < entries and candidate[e] == c and which[e] == seen_by[o]:
+            while e < entries and candidate[e] == c and which[e] == measurement[o]:
                 total[o] += weight[e]
                 running[e] = total[o]
                 e += 1
@@ -118,7 +119,7 @@ def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, b
     near, near_start = _neighbours(candidate, member, box, count)
     return Options(
         first,
-        seen_by[:o].copy(),
+        measurement[:o].copy(),
         total[:o].copy(),
         start[: o + 1].copy(),
         running,
@@ -131,14 +132,14 @@ def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, b
 
 @njit(**INNER)
 def _neighbours(candidate: I8, member: I8, box: F8, count: int) -> tuple[I8, I8]:
-    """The candidates near each of ``count``, as `Options` has them: those whose states' boxes
-    together overlap its own.
+    """The candidates near each of ``count``, as in `Options`: those whose states' boxes together
+    overlap its own.
     """
     low = np.full((2, count), np.inf)
     high = np.full((2, count), -np.inf)
     start = np.zeros(count + 1, np.int64)
     near = np.empty(0, np.int64)
-    found = np.empty(count, np.int64)
+    neighbour = np.empty(count, np.int64)
     if len(box) == 0:
         return near, start
     for e in range(candidate.size):
@@ -149,18 +150,16 @@ def _neighbours(candidate: I8, member: I8, box: F8, count: int) -> tuple[I8, I8]
             high[a, c] = max(high[a, c], box[i, a + 2])
     grid = make_grid(low, high, 0.0, 0.0)
     for c in range(count):
-        some = overlapping(low[0, c], low[1, c], high[0, c], high[1, c], grid, found)
-        near = np.concatenate((near, np.sort(found[:some])))
+        some = overlapping(low[0, c], low[1, c], high[0, c], high[1, c], grid, neighbour)
+        near = np.concatenate((near, np.sort(neighbour[:some])))
         start[c + 1] = near.size
     return near, start
 
 
 @njit(**INNER)
 def _free(o: int, a: int, b: int, can: Options, now: Sample) -> float:
-    """Weight of an option for candidates a or b; 0 where its measurement belongs to another
-    target.
-    """
-    j = can.seen_by[o]
+    """Weight of an option for candidates a or b; 0 if its measurement belongs to another target."""
+    j = can.measurement[o]
     free = j < 0 or now.taken[j] < 0 or now.taken[j] == a or now.taken[j] == b
     weight: float = can.total[o] if free else 0.0
     return weight
@@ -187,27 +186,48 @@ def _choose(
     chosen = -1
     other = -1
     reached = 0.0
-    low, high = (can.first[b], can.first[b + 1]) if b >= 0 else (0, 1)
-    for again in range(2):
-        if again:
-            aim = rng.random() * reached
-        else:
-            aim = np.inf
-        for o in range(begin, end):
-            for p in range(low, high):
-                weight = _free(o, a, b if b >= 0 else a, can, now)
-                if b >= 0:
-                    same = can.seen_by[o] >= 0 and can.seen_by[o] == can.seen_by[p]
-                    weight *= 0.0 if same else _free(p, a, b, can, now)
-                if not again:
-                    reached += weight
-                elif weight > 0.0:
-                    chosen = o
-                    other = p if b >= 0 else -1
-                    aim -= weight
-                    if aim < 0.0:
-                        return chosen, other
+    low = 0
+    high = 1
+    if b >= 0:
+        low = can.first[b]
+        high = can.first[b + 1]
+    for o in range(begin, end):
+        for p in range(low, high):
+            reached += _weight(o, p, a, b, can, now)
+    aim = rng.random() * reached
+    for o in range(begin, end):
+        for p in range(low, high):
+            weight = _weight(o, p, a, b, can, now)
+            if weight > 0.0:
+                chosen = o
+                other = p
+                aim -= weight
+                if aim < 0.0:
+                    return chosen, other
     return chosen, other
+
+
+@njit(**INNER)
+def _weight(o: int, p: int, a: int, b: int, can: Options, now: Sample) -> float:
+    """Weight of option o for candidate a, and of option p for candidate b unless b < 0; 0 if one is
+    not free.
+    """
+    if b < 0:
+        weight: float = _free(o, a, a, can, now)
+        return weight
+    if can.measurement[o] >= 0 and can.measurement[o] == can.measurement[p]:
+        return 0.0
+    both: float = _free(o, a, b, can, now) * _free(p, a, b, can, now)
+    return both
+
+
+@njit(**INNER)
+def _overlap_with(i: int, c: int, can: Options, now: Sample) -> float:
+    """Overlap of state i (−1: none) and the present state of candidate c."""
+    if i < 0 or now.state[c] < 0:
+        return 0.0
+    overlap: float = overlap_of(can.box, i, can.box, now.state[c])
+    return overlap
 
 
 @njit(**INNER)
@@ -219,33 +239,36 @@ def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
     if i >= 0 and k >= 0:
         total = overlap_of(can.box, i, can.box, k)
     p = can.near_start[a]
+    p_end = can.near_start[a + 1]
     q = 0 * a
-    ends = (can.near_start[a + 1], 0 * a)
+    q_end = 0 * a
     if b >= 0:
         q = can.near_start[b]
-        ends = (ends[0], can.near_start[b + 1])
-    while p < ends[0] or q < ends[1]:
+        q_end = can.near_start[b + 1]
+    while p < p_end or q < q_end:
         # The next candidate that is near one of the two.
-        if q == ends[1] or (p < ends[0] and can.near[p] <= can.near[q]):
+        if q == q_end or (p < p_end and can.near[p] <= can.near[q]):
             c = can.near[p]
         else:
             c = can.near[q]
-        there = now.state[c] >= 0 and c != a and c != b
-        if p < ends[0] and can.near[p] == c:
-            total += overlap_of(can.box, i, can.box, now.state[c]) if there and i >= 0 else 0.0
+        other = c != a and c != b
+        if p < p_end and can.near[p] == c:
+            if other:
+                total += _overlap_with(i, c, can, now)
             p += 1
-        if q < ends[1] and can.near[q] == c:
-            total += overlap_of(can.box, k, can.box, now.state[c]) if there and k >= 0 else 0.0
+        if q < q_end and can.near[q] == c:
+            if other:
+                total += _overlap_with(k, c, can, now)
             q += 1
     return total
 
 
 @njit(**INNER)
 def _take(c: int, o: int, i: int, can: Options, now: Sample) -> None:
-    """Candidate ``c`` has option ``o`` and state ``i`` from now on."""
+    """Give candidate ``c`` option ``o`` and state ``i``."""
     now.option[c] = o
     now.state[c] = i
-    j = can.seen_by[o]
+    j = can.measurement[o]
     if j >= 0:
         now.taken[j] = c
 
@@ -258,16 +281,13 @@ def _redraw(
     others.
     """
     o, p = _choose(a, b, can.first[a], can, now, rng)
-    if o == can.first[a]:
-        i = -1
-    else:
+    i = -1
+    if o != can.first[a]:
         i = _state(o, can, rng)
     k = -1
     was = -1
     if b >= 0:
-        if p == can.first[b]:
-            k = -1
-        else:
+        if p != can.first[b]:
             k = _state(p, can, rng)
         was = now.state[b]
     elif i < 0 and now.state[a] < 0:
@@ -278,8 +298,8 @@ def _redraw(
         if more > 0.0 and rng.random() >= np.exp(-chain.strength * more):
             return
     for c in (a, b):
-        if c >= 0 and can.seen_by[now.option[c]] >= 0:
-            now.taken[can.seen_by[now.option[c]]] = -1
+        if c >= 0 and can.measurement[now.option[c]] >= 0:
+            now.taken[can.measurement[now.option[c]]] = -1
     _take(a, o, i, can, now)
     if b >= 0:
         _take(b, p, k, can, now)
@@ -289,8 +309,8 @@ def _redraw(
 def _chance(
     c: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator
 ) -> tuple[int, float]:
-    """A target's state, drawn where it does not exist, and the probability that it exists, given
-    that and all others.
+    """A target's state, drawn if it does not exist, and the probability that it exists, given that
+    state and all others.
     """
     exists = 0.0
     absence = can.first[c]
@@ -319,9 +339,9 @@ def jump_chain(
     probability is min(1, ψ of the new state / ψ of the old one). A sweep has as many steps as there
     are candidates.
 
-    ``pairs`` (K, 2) compete for one of so many ``measurements``. Back come (C, N) each candidate's
-    options and states in each kept sample, where a target does not exist a draw of its state, and
-    the probability (C, N) that it exists, given that state and all the others in the sample.
+    ``pairs`` (K, 2) compete for one of so many ``measurements``. Returns (C, N) each candidate's
+    options and states in each kept sample, a drawn state if it does not exist there, and the
+    probability (C, N) that it exists, given that state and all others in the sample.
     """
     many = can.first.size - 1
     kept = chain.samples

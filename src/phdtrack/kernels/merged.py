@@ -1,4 +1,4 @@
-"""Merged measurements: which targets each blob shows, where it puts them, and which estimates
+"""Merged measurements: the targets that each blob shows, their boxes in it, and the estimates that
 continue them.
 
 The model is that of `detect.merged`. N blobs and n targets have boxes of four edges: left, top,
@@ -20,21 +20,21 @@ from phdtrack.kernels.gm_merge import descending
 
 # See `explained`.
 Parts = tuple[F8, I8, I8, I8, F8, F8]
-# Squared deviations beyond which a blob does not fit; blobs and targets that are explained
-# together, at most.
+# Squared deviations beyond which a blob does not fit; the largest number of blobs and targets that
+# are explained together.
 GATE2 = 25.0
 GROUP = 6
-# Largest probability of existence; targets of a smaller one than the least are expected no more.
+# Largest probability of existence; targets of a smaller one than the least are dropped.
 MAX_EXISTENCE = 0.99
 MIN_EXISTENCE = 0.1
-# Squared Mahalanobis distance in the plane within which an estimate can be an expected target: 99 %
-# of two dimensions.
+# Squared Mahalanobis distance in the plane within which an estimate can continue a target: 99 % of
+# two dimensions.
 NEAR = 9.21
 TINY = 1e-300
 # Log-likelihoods that differ by less are equal: sums of the same numbers in another order.
 ROUNDING = 1e-9
-# Of noise: where centre and size are.
-PLACES = (0, 1, 2, 3)
+# Rows of centre and size in covariances of noise.
+NOISE_ROWS = (0, 1, 2, 3)
 
 
 class Rule(NamedTuple):
@@ -55,9 +55,10 @@ class Lives(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """What log-likelihoods are made of: the boxes (N, 4), (n, 4), the covariances (k, 4, 4) of
-    their edges, of noise those of the targets and those of the blobs, each perhaps none; κ (N,);
-    log-probabilities (n,) of missing and of detecting."""
+    """The terms of log-likelihoods: the boxes of blobs (N, 4) and of targets (n, 4), the
+    covariances (k, 4, 4) of the targets' edges, of the noise that belongs to targets and to blobs,
+    each perhaps none; κ (N,); log-probabilities (n,) that a target is missed and is detected.
+    """
 
     blobs: F8
     boxes: F8
@@ -66,36 +67,43 @@ class Frame(NamedTuple):
     measured: F8
     clutter: F8
     missed: F8
-    seen: F8
+    detected: F8
     lives: Lives
     rule: Rule
 
 
 @njit(**ENTRY)
 def explained(
-    blobs: F8, known: Bool, clutter: F8, boxes: F8, covariance: F8, rows: tuple[int, ...], noise: tuple[F8, F8],
-    lives: Lives, rule: Rule, seconds: float,
-) -> Parts:  # fmt: skip
-    """The boxes (N′, 4) that the filter gets, ``source``, ``part`` and ``target`` of an
-    `Explanation`, and the seconds (n,) for which each target has been hidden and has had a blob to
-    itself.
+    blobs: F8,
+    possible: Bool,
+    clutter: F8,
+    boxes: F8,
+    covariance: F8,
+    rows: tuple[int, ...],
+    noise: tuple[F8, F8],
+    lives: Lives,
+    rule: Rule,
+    seconds: float,
+) -> Parts:
+    """The boxes (N′, 4) for the filter, ``source``, ``part`` and ``target`` of an `Explanation`,
+    and the seconds (n,) for which each target has been hidden and has had a blob to itself.
 
-    ``known`` (N,): which blobs show a possible state; κ is not read elsewhere. ``covariance`` (n,
-    d, d) is of the states, whose ``rows`` are centre and size; ``noise`` that of centre and size,
-    which belongs to targets and to blobs.
+    ``possible`` (N,): true for blobs that show a possible state; κ of others is not read.
+    ``covariance`` (n, d, d) of the states, whose ``rows`` are centre and size; ``noise``: the
+    covariances of centre and size that belong to targets and to blobs.
     """
     spread = _of_edges(covariance, rows)
     of = np.full(len(boxes), -1, np.int64)
     order = np.arange(len(boxes))
-    pairs, crowded = _touching(blobs, known, boxes, spread, of)
+    pairs, crowded = _touching(blobs, possible, boxes, spread, of)
     if crowded:
         order = _in_order(boxes, np.ones(len(boxes), np.bool_))
-        own = _of_edges(noise[0], PLACES)
-        measured = _of_edges(noise[1], PLACES)
+        own = _of_edges(noise[0], NOISE_ROWS)
+        measured = _of_edges(noise[1], NOISE_ROWS)
         missed = np.empty(len(boxes))
-        seen = np.empty(len(boxes))
-        frame = Frame(blobs, boxes, spread, own, measured, clutter, missed, seen, lives, rule)
-        _assign(frame, pairs, _in_order(blobs, known), order, of)
+        detected = np.empty(len(boxes))
+        frame = Frame(blobs, boxes, spread, own, measured, clutter, missed, detected, lives, rule)
+        _assign(frame, pairs, _in_order(blobs, possible), order, of)
     parts: Parts = _divided(blobs, boxes, of, order, lives, seconds)
     return parts
 
@@ -121,11 +129,11 @@ def _of_edges(covariance: F8, rows: tuple[int, ...]) -> F8:
 
 
 @njit(**INNER)
-def _touching(blobs: F8, known: Bool, boxes: F8, spread: F8, of: I8) -> tuple[Bool, bool]:
-    """(N, n) which pairs touch, the targets' edges moved out by a deviation, and whether any blob
-    or target touches two.
+def _touching(blobs: F8, possible: Bool, boxes: F8, spread: F8, of: I8) -> tuple[Bool, bool]:
+    """(N, n) true for the pairs that touch, the targets' edges moved out by a deviation, and
+    whether any blob or target touches two.
 
-    A blob that each target touches is written into ``of`` (n,).
+    Writes a blob that each target touches into ``of`` (n,).
     """
     pairs = np.zeros((len(blobs), len(boxes)), np.bool_)
     used = np.zeros(len(blobs), np.bool_)
@@ -137,7 +145,7 @@ def _touching(blobs: F8, known: Bool, boxes: F8, spread: F8, of: I8) -> tuple[Bo
             out[side] = boxes[t, side] - reach if side < 2 else boxes[t, side] + reach
         for b in range(len(blobs)):
             across = blobs[b, 0] <= out[2] and out[0] <= blobs[b, 2]
-            if known[b] and across and blobs[b, 1] <= out[3] and out[1] <= blobs[b, 3]:
+            if possible[b] and across and blobs[b, 1] <= out[3] and out[1] <= blobs[b, 3]:
                 crowded = crowded or used[b] or of[t] >= 0
                 pairs[b, t] = True
                 used[b] = True
@@ -148,7 +156,7 @@ def _touching(blobs: F8, known: Bool, boxes: F8, spread: F8, of: I8) -> tuple[Bo
 @njit(**INNER)
 def _in_order(boxes: F8, used: Bool) -> I8:
     """Indices of the boxes ``used`` in the order of their edges, so that nothing depends on the
-    order in which they come.
+    order of the input.
     """
     order = np.empty(len(boxes), np.int64)
     count = 0
@@ -171,7 +179,7 @@ def _in_order(boxes: F8, used: Bool) -> I8:
 
 @njit(**INNER)
 def _area(boxes: F8, i: int) -> float:
-    """Of box i."""
+    """The area of box i."""
     area: float = (boxes[i, 2] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 1])
     return area
 
@@ -180,8 +188,8 @@ def _area(boxes: F8, i: int) -> float:
 def _assign(frame: Frame, pairs: Bool, blobs: I8, targets: I8, of: I8) -> None:
     """Write the blob of each target in the best explanation, −1 for none, into ``of`` (n,).
 
-    ``blobs`` and ``targets`` are in the order of their edges. The logarithms of `Frame` for targets
-    are written first.
+    ``blobs`` and ``targets`` are in the order of their edges. Writes the log-probabilities of
+    `Frame` first.
     """
     a = frame.blobs
     c = frame.boxes
@@ -198,7 +206,7 @@ def _assign(frame: Frame, pairs: Bool, blobs: I8, targets: I8, of: I8) -> None:
                 covered = max(covered, shared[b, t])
         covered = min(covered / max(_area(c, t), TINY), 1.0)
         frame.missed[t] = math.log(max(1.0 - r[t] * (p[t] + (1.0 - p[t]) * covered), TINY))
-        frame.seen[t] = math.log(max(r[t] * p[t], TINY))
+        frame.detected[t] = math.log(max(r[t] * p[t], TINY))
         for b in range(len(a)):
             shared[b, t] /= max(min(_area(a, b), _area(c, t)), TINY)
     group, kept = _grouped(pairs, shared, blobs, targets)
@@ -210,11 +218,11 @@ def _assign(frame: Frame, pairs: Bool, blobs: I8, targets: I8, of: I8) -> None:
         for b in blobs:
             if group[b] == group[first]:
                 inside[n] = b
-                n = n + 1
+                n += 1
         for t in targets:
             if group[len(a) + t] == group[first]:
                 members[m] = t
-                m = m + 1
+                m += 1
         if inside[0] == first and n == 1 and m == 1:
             of[members[0]] = first
         elif inside[0] == first and m > 0:
@@ -226,7 +234,7 @@ def _grouped(pairs: Bool, strength: F8, blobs: I8, targets: I8) -> tuple[I8, Boo
     """(N + n,) the group of each blob, then of each target, of at most `GROUP` members, and the
     pairs (N, n) that are kept.
 
-    The strongest pairs are joined first; one that would make a group too large is left out.
+    The strongest pairs are joined first; a pair that would make a group too large is dropped.
     """
     n = len(pairs)
     size = pairs.sum()
@@ -259,12 +267,12 @@ def _grouped(pairs: Bool, strength: F8, blobs: I8, targets: I8) -> tuple[I8, Boo
 
 @njit(**INNER)
 def _explain(frame: Frame, kept: Bool, blobs: I8, targets: I8, of: I8) -> None:
-    """Write the blob of each target of a group in the best explanation into ``of`` (n,); of equally
-    likely ones the first.
+    """Write the blob of each target of a group in the most likely explanation into ``of`` (n,); the
+    first of equally likely ones.
 
-    Explanations are numbered like the digits of a number: a target's are no blob, then those it may
-    be in, the last target's turn fastest. What was computed of a blob and a set of targets stands
-    in a table.
+    Explanations are counted like numbers: a target's digit is 0 for no blob, then the blobs that it
+    may be in, and the last target's digit changes fastest. A table holds the log-likelihoods of a
+    blob and a set of targets.
     """
     m = len(targets)
     turn = 0
@@ -308,17 +316,17 @@ def _explain(frame: Frame, kept: Bool, blobs: I8, targets: I8, of: I8) -> None:
 
 @njit(**INNER)
 def _log_likelihood(frame: Frame, blob: int, targets: I8, chosen: int) -> float:
-    """Of a blob that is of those targets whose bits are set in ``chosen``; −∞ where that may not
-    be.
+    """Log-likelihood of a blob that shows the targets whose bits are set in ``chosen``; −∞ if that
+    is not allowed.
     """
     several = np.empty(len(targets), np.int64)
     k = 0
-    seen = 0.0
+    detected = 0.0
     for i in range(len(targets)):
         if chosen >> i & 1:
             several[k] = targets[i]
-            k = k + 1
-            seen = seen + frame.seen[targets[i]]
+            k += 1
+            detected += frame.detected[targets[i]]
     if k == 0:
         return math.log(max(frame.clutter[blob], TINY))
     owner = _owners(frame.boxes, several[:k])
@@ -347,26 +355,29 @@ def _log_likelihood(frame: Frame, blob: int, targets: I8, chosen: int) -> float:
     if not distance2 <= GATE2:  # also NaN, where the spread has no factors
         return -math.inf
     merged = (k - 1) * math.log(max(rule.merge_probability, TINY))
-    return float(-0.5 * (distance2 + log_det + 4.0 * LOG_2PI) + merged + seen)
+    return float(-0.5 * (distance2 + log_det + 4.0 * LOG_2PI) + merged + detected)
 
 
 @njit(**INNER)
 def _owners(boxes: F8, several: I8) -> I8:
-    """(4,) which of ``several`` boxes has each edge of their union, the first of equal ones."""
+    """(4,) the one of ``several`` boxes that has each edge of their union, the first of equal
+    ones.
+    """
     owner = np.full(4, several[0])
     for i in several:
         for side in range(4):
             edge = boxes[i, side]
             outermost = boxes[owner[side], side]
-            if edge > outermost if side > 1 else edge < outermost:
+            farther = edge > outermost if side > 1 else edge < outermost
+            if farther:
                 owner[side] = i
     return owner
 
 
 @njit(**INNER)
 def _divided(blobs: F8, boxes: F8, of: I8, order: I8, lives: Lives, seconds: float) -> Parts:
-    """What `explained` returns, where ``of`` (n,) is each target's blob; in a blob they come in
-    this ``order`` (n,).
+    """The parts of blobs that `explained` returns: ``of`` (n,) is each target's blob; targets of a
+    blob are in this ``order`` (n,).
     """
     count = np.zeros(len(blobs), np.int64)
     part = np.empty(len(blobs), np.int64)
@@ -400,7 +411,10 @@ def _divided(blobs: F8, boxes: F8, of: I8, order: I8, lives: Lives, seconds: flo
             owner = _owners(boxes, several)
             for i in range(count[b]):
                 t = several[i]
-                hidden[t] = hidden[t] + seconds if t != owner[0] and t != owner[2] else 0.0
+                hidden[t] += seconds
+                # A target that has an edge at the side of the blob is in view.
+                if t == owner[0] or t == owner[2]:
+                    hidden[t] = 0.0
                 for axis in range(2):
                     _place(boxes, t, axis, owner, xyxy, part[b] + i)
     return xyxy, source, part, target, hidden, separate
@@ -408,11 +422,11 @@ def _divided(blobs: F8, boxes: F8, of: I8, order: I8, lives: Lives, seconds: flo
 
 @njit(**INNER)
 def _place(boxes: F8, t: int, axis: int, owner: I8, xyxy: F8, k: int) -> None:
-    """Write over a merged blob's edges along an axis, in row k, those of its target t, whose size
+    """Replace a merged blob's edges along an axis, in row k, by those of its target t, whose size
     is unchanged.
 
-    The target lies where the edges that it has put it, midway if it has both; one that has none
-    stays where it is expected, inside the blob.
+    The edges of the blob that are the target's place it, midway if both are; a target without any
+    stays at its predicted position, inside the blob.
     """
     low = xyxy[k, axis]
     high = xyxy[k, axis + 2]
@@ -422,10 +436,9 @@ def _place(boxes: F8, t: int, axis: int, owner: I8, xyxy: F8, k: int) -> None:
     if owner[axis] == t:
         start = low
     if owner[axis + 2] == t:
+        start = high - size
         if owner[axis] == t:
             start = (low + high - size) / 2
-        else:
-            start = high - size
     if room > 0.0:
         start = min(max(start, low), max(low, high - size))
     else:
@@ -436,7 +449,7 @@ def _place(boxes: F8, t: int, axis: int, owner: I8, xyxy: F8, k: int) -> None:
 
 @njit(**ENTRY)
 def continued(
-    found: tuple[I8, I8, F8],
+    after: tuple[I8, I8, F8],
     state: F8,
     covariance: F8,
     noise: F8,
@@ -445,60 +458,61 @@ def continued(
     seconds: float,
 ) -> tuple[F8, F8, F8, F8, Bool]:
     """(k,) the seconds of `Lives` for the estimates, (n,) r and ``hidden`` of the targets after the
-    frame, and which of them the estimates do not show but may be there.
+    frame, and true for those without an estimate that may still exist.
 
-    ``found``: the target (N′,) of each detection, the detection (k,) and the state (d, k) of each
+    ``after``: the target (N′,) of each detection, the detection (k,) and the state (d, k) of each
     estimate. ``noise``: deviations (d, n) of the targets' states. ``longest``: seconds for which a
     target may stay hidden.
     """
-    target, detection, now = found
+    target, detection, now = after
     n = len(lives.existence)
     of = np.full(len(detection), -1, np.int64)
     hidden = np.zeros(len(detection))
     separate = np.zeros(len(detection))
-    shown = np.zeros(n, np.bool_)
-    seen = np.zeros(n, np.bool_)
+    continued_by = np.zeros(n, np.bool_)
+    detected = np.zeros(n, np.bool_)
     left = np.empty(n, np.bool_)
     for i in range(len(of)):
-        if detection[i] >= 0:
-            t = target[detection[i]]
-        else:
-            t = -1
-        if t >= 0 and not shown[t]:
+        if detection[i] < 0:
+            continue
+        t = target[detection[i]]
+        if t >= 0 and not continued_by[t]:
             of[i] = t
-            shown[t] = True
-    _continue_nearest(now, state, covariance, noise, of, shown)
+            continued_by[t] = True
+    _continue_nearest(now, state, covariance, noise, of, continued_by)
     for i in range(len(of)):
         if of[i] >= 0:
             hidden[i] = lives.hidden[of[i]]
             separate[i] = lives.separate[of[i]]
     for t in target:
         if t >= 0:
-            seen[t] = True
-    there = lives.existence.copy()
+            detected[t] = True
+    existence = lives.existence.copy()
     unseen = lives.hidden + seconds
     for t in range(n):
-        r = there[t]
+        r = existence[t]
         p = lives.p_detect[t]
-        if not seen[t]:
-            there[t] = r * (1.0 - p) / max(1.0 - r * p, 1.0 - MAX_EXISTENCE)
-        left[t] = not shown[t] and there[t] > MIN_EXISTENCE and unseen[t] <= longest
-    return hidden, separate, there, unseen, left
+        if not detected[t]:
+            existence[t] = r * (1.0 - p) / max(1.0 - r * p, 1.0 - MAX_EXISTENCE)
+        left[t] = not continued_by[t] and existence[t] > MIN_EXISTENCE and unseen[t] <= longest
+    return hidden, separate, existence, unseen, left
 
 
 @njit(**INNER)
-def _continue_nearest(now: F8, state: F8, covariance: F8, noise: F8, of: I8, shown: Bool) -> None:
-    """Give estimates that continue no target the nearest that is left, within the gate, the nearest
-    pair first.
+def _continue_nearest(
+    now: F8, state: F8, covariance: F8, noise: F8, of: I8, continued_by: Bool
+) -> None:
+    """Let estimates that continue no target continue the nearest that is left within the gate, the
+    nearest pair first.
     """
-    distance2 = np.full((len(of), len(shown)), np.inf)
-    for t in range(len(shown)):
+    distance2 = np.full((len(of), len(continued_by)), np.inf)
+    for t in range(len(continued_by)):
         a = covariance[t, 0, 0] + noise[0, t] * noise[0, t]
         c = covariance[t, 1, 1] + noise[1, t] * noise[1, t]
         b = covariance[t, 0, 1]
         d = covariance[t, 1, 0]
         for i in range(len(of)):
-            if of[i] < 0 and not shown[t]:
+            if of[i] < 0 and not continued_by[t]:
                 x = now[0, i] - state[0, t]
                 y = now[1, i] - state[1, t]
                 distance2[i, t] = (x * (c * x - b * y) + y * (a * y - d * x)) / (a * c - b * d)
@@ -508,11 +522,11 @@ def _continue_nearest(now: F8, state: F8, covariance: F8, noise: F8, of: I8, sho
         k = 0
         j = 0
         for i in range(len(of)):
-            for t in range(len(shown)):
-                if of[i] < 0 and not shown[t] and distance2[i, t] < nearest:
+            for t in range(len(continued_by)):
+                if of[i] < 0 and not continued_by[t] and distance2[i, t] < nearest:
                     nearest = distance2[i, t]
                     k = i
                     j = t
         if nearest <= NEAR:
             of[k] = j
-            shown[j] = True
+            continued_by[j] = True

@@ -20,13 +20,13 @@ from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
 
 # Points that are evaluated at a time.
 CHUNK = 128
-# Logarithms below this are those of a density that is 0; so is one that is LEAST nats below another
-# one at the same place.
+# Logarithms below this are those of a density of 0; a density is also 0 if it is LEAST nats below
+# another one at the same place.
 NOTHING = -1e30
 LEAST = -60.0
 # A component of less mass than this has no samples: its square must not vanish.
 NO_MASS = 1e-100
-# A share of a sample that moves nothing by more than rounding.
+# A sample with a smaller share moves a component by no more than rounding.
 NEGLIGIBLE = 1e-14
 # The largest value of M·τ·β: at 1 the recursive rule for the weights divides by 0.
 MAX_PRIOR = 0.5
@@ -59,10 +59,9 @@ def whitened(mixture: Gaussians) -> Whitened:
     root = np.zeros((d, d))
     for j in range(count):
         log_det = factor(mixture.covariance[j], root)
+        log_weight = -math.inf
         if mixture.weight[j] > 0.0:
             log_weight = math.log(mixture.weight[j])
-        else:
-            log_weight = -math.inf
         log_peak[j] = log_weight - 0.5 * (log_det + d * LOG_2PI)
         for r in range(d):
             inverse[j, r, r] = 1.0 / root[r, r]
@@ -141,10 +140,10 @@ class Candidates(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """What one step of EM makes of the samples.
+    """Moments of the samples of each component after an expectation step.
 
     ``mass`` (k,): Σ of the samples' weights times responsibilities. ``mean`` (d, k), ``covariance``
-    (k, d, d): of each component's samples; as before without mass. ``background``: mass of the
+    (k, d, d) of each component's samples, unchanged without mass. ``background``: mass of the
     background density. ``log_likelihood``: Σ weight · log density, nats.
     """
 
@@ -156,13 +155,13 @@ class Moments(NamedTuple):
 
 
 class Recursion(NamedTuple):
-    """How the recursive form learns.
+    """Settings of the recursive form.
 
-    ``prior``: τ, half the number of parameters of a component. ``memory``: samples 1/β that are
-    remembered at most. ``min_uniform``: smallest share of the uniform density. ``log_volume``:
-    logarithm of the volume of the uniform density. ``steady``: number of samples taken at the
-    constant rate; later ones have a rate that falls like 1/k, without the prior. ``floor`` (d,):
-    variances added to every sample's scatter, so that no covariance vanishes.
+    ``prior``: τ, half the number of parameters of a component. ``memory``: 1/β, the number of
+    samples that are remembered. ``min_uniform``: smallest share of the uniform density.
+    ``log_volume``: logarithm of the volume of the uniform density. ``steady``: number of samples
+    taken at the constant rate; later ones have a rate that falls like 1/k, without the prior.
+    ``floor`` (d,): variances added to every sample's scatter, so that no covariance vanishes.
     """
 
     prior: float
@@ -179,7 +178,7 @@ def nothing_known(dim: int) -> Gaussians:
 
 
 def one_block(samples: int, components: int) -> Candidates:
-    """Candidates where every sample may belong to every component."""
+    """Candidates with which every sample may belong to every component."""
     return Candidates(np.array([0, samples]), np.array([0, components]), np.arange(components))
 
 
@@ -187,7 +186,7 @@ def one_block(samples: int, components: int) -> Candidates:
 def _responsibilities(
     table: Real, count: int, size: int, weight: Real, background: Real, top: Real, total: Real
 ) -> float:
-    """Turn log densities in ``table`` (≥ count, ≥ size) into weight times responsibility; gives Σ
+    """Turn log densities in ``table`` (≥ count, ≥ size) into weight times responsibility; returns Σ
     weight · log density.
 
     The logarithm in ``background`` becomes the weight times the responsibility of the background;
@@ -202,8 +201,9 @@ def _responsibilities(
         top[i] = background[i]
     for c in range(count):
         for i in range(size):
-            top[i] = table[c, i] if table[c, i] > top[i] else top[i]
+            top[i] = max(top[i], table[c, i])
     for i in range(size):
+        # A density of 0 everywhere: any logarithm will do.
         top[i] = top[i] if top[i] > nothing else zero
         background[i] = exp_of(background[i] - top[i]) if background[i] - top[i] > least else zero
     for c in range(count):
@@ -284,6 +284,31 @@ def _from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8,
     return mean, cov
 
 
+@njit(**VECTOR)
+def _explain_chunk(
+    x: Real,
+    begin: int,
+    size: int,
+    near: I8,
+    gaussians: Whitened,
+    weight: Real,
+    background: Real,
+    table: Real,
+    step: Real,
+    scratch: tuple[Real, Real],
+) -> float:
+    """Write weight times responsibility of the components ``near`` into ``table``, and of the
+    background into ``background``; returns Σ weight · log density.
+    """
+    mean, inverse, log_peak = gaussians
+    part, total = scratch
+    for c in range(near.size):
+        steps_from(x, begin, size, mean, near[c], step)
+        log_density_of(step, size, inverse[near[c]], log_peak[near[c]], part, table[c])
+    out: float = _responsibilities(table, near.size, size, weight, background, part, total)
+    return out
+
+
 @njit(**(ENTRY | {"fastmath": FAST}))
 def em_step(
     x: Real,
@@ -298,7 +323,7 @@ def em_step(
     The new weights, a floor under covariances and a prior are left to the caller. Samples of blocks
     without candidates count for no component. Those of a block with one candidate and no background
     are all that component's: their densities are not computed and not in ``log_likelihood``, and no
-    sample is looked at where the mass, mean and covariance of the blocks are ``known``.
+    sample is visited if the mass, mean and covariance of the blocks are ``known``.
 
     ``weight`` (n,) of the samples, or (1,) for all of them. ``log_background`` (n,): logarithm of a
     further density at each sample, (0,) for none; the weights of the ``mixture`` count it in:
@@ -306,26 +331,25 @@ def em_step(
     """
     d = x.shape[0]
     start, first_of, component = candidates
-    _, inverse, log_peak = whitened(mixture)
+    gaussians = whitened(mixture)
     count = mixture.weight.size
     mass = np.zeros(count)
     first = np.zeros((count, d))
     second = np.zeros((count, d, d))
+    widest = 0
     if first_of.size > 1:
         widest = np.max(np.diff(first_of))
-    else:
-        widest = 0
     step = np.empty((d, CHUNK), x.dtype)
     table = np.empty((widest, CHUNK), x.dtype)
-    part = np.empty(CHUNK, x.dtype)
-    total = np.empty(CHUNK, x.dtype)
+    scratch = np.empty(CHUNK, x.dtype), np.empty(CHUNK, x.dtype)
     own = np.empty(CHUNK, x.dtype)
     other = np.empty(CHUNK, x.dtype)
     background = 0.0
     log_likelihood = 0.0
     for b in range(start.size - 1):
         near = component[first_of[b] : first_of[b + 1]]
-        if near.size == 1 and log_background.size == 0 and known.weight.size > 0:
+        alone = near.size == 1 and log_background.size == 0
+        if alone and known.weight.size > 0:
             _add_known(known, b, near[0], mixture.mean, mass, first, second)
             continue
         for begin in range(start[b], start[b + 1], CHUNK):
@@ -333,14 +357,13 @@ def em_step(
             for i in range(size):
                 own[i] = weight[begin + i] if weight.size > 1 else weight[0]
                 other[i] = log_background[begin + i] if log_background.size else -np.inf
-            if near.size == 1 and log_background.size == 0:
+            if alone:
                 steps_from(x, begin, size, mixture.mean, near[0], step)
                 _add_moments(step, own, size, near[0], mass, first, second)
                 continue
-            for c in range(near.size):
-                steps_from(x, begin, size, mixture.mean, near[c], step)
-                log_density_of(step, size, inverse[near[c]], log_peak[near[c]], part, table[c])
-            log_likelihood += _responsibilities(table, near.size, size, own, other, part, total)
+            log_likelihood += _explain_chunk(
+                x, begin, size, near, gaussians, own, other, table, step, scratch
+            )
             for i in range(size):
                 background += other[i]
             for c in range(near.size):
@@ -350,16 +373,83 @@ def em_step(
     return Moments(mass, mean, cov, background, log_likelihood)
 
 
-@njit(**INNER)
-def _move(mean: F8, cov: F8, step: F8, floor: F8, rate: float) -> None:
-    """Move a component by a part ``rate`` of the way to a sample at mean + ``step``, in place [M09
-    (19), (20)].
+class Learned(NamedTuple):
+    """A mixture that is being learned, a component a row: ``weight`` (k,), ``mean`` (k, d),
+    ``covariance`` and Cholesky factor ``root`` (k, d, d), ``log_peak`` (k,) of the normal density.
     """
-    for r in range(step.size):
+
+    weight: F8
+    mean: F8
+    covariance: F8
+    root: F8
+    log_peak: F8
+
+
+@njit(**INNER)
+def _prepare(now: Learned, m: int) -> None:
+    """Factor the covariance of component m."""
+    log_det = factor(now.covariance[m], now.root[m])
+    now.log_peak[m] = -0.5 * (log_det + now.mean.shape[1] * LOG_2PI)
+
+
+@njit(**INNER)
+def _shares(now: Learned, x: F8) -> tuple[F8, float]:
+    """o_m = π_m N_m(x) / Σ_j π_j N_j(x), and the logarithm of the sum [M09 (16)]."""
+    count, d = now.mean.shape
+    step = np.empty(d)
+    y = np.empty(d)
+    share = np.empty(count)
+    for m in range(count):
+        for r in range(d):
+            step[r] = x[r] - now.mean[m, r]
+        share[m] = now.log_peak[m] - 0.5 * norm2(step, now.root[m], y) + np.log(now.weight[m])
+    top = share.max()
+    share = np.exp(share - top)
+    total = share.sum()
+    return share / total, top + math.log(total)
+
+
+@njit(**INNER)
+def _move(now: Learned, m: int, x: F8, floor: F8, rate: float) -> None:
+    """Move component m by a part ``rate`` of the way to a sample, in place [M09 (19), (20)]."""
+    d = x.size
+    mean = now.mean[m]
+    cov = now.covariance[m]
+    step = np.empty(d)
+    for r in range(d):
+        step[r] = x[r] - mean[r]
+    for r in range(d):
         for s in range(r + 1):
-            cov[r, s] += rate * (step[r] * step[s] + (floor[r] if r == s else 0.0) - cov[r, s])
+            scatter = step[r] * step[s] + (floor[r] if r == s else 0.0)
+            cov[r, s] += rate * (scatter - cov[r, s])
             cov[s, r] = cov[r, s]
         mean[r] += rate * step[r]
+    _prepare(now, m)
+
+
+@njit(**INNER)
+def _without_negative(now: Learned) -> Learned:
+    """The components with a weight above 0."""
+    if now.weight.min() > 0.0:
+        return now
+    kept = np.flatnonzero(now.weight > 0.0)
+    return Learned(
+        now.weight[kept],
+        now.mean[kept],
+        now.covariance[kept],
+        now.root[kept],
+        now.log_peak[kept],
+    )
+
+
+@njit(**INNER)
+def _rates(rule: Recursion, k: int, count: int, late: float) -> tuple[float, float, float]:
+    """The rate β for sample k, τβ, and the sum of rates since the end of the steady samples."""
+    rate = min(1.0 / rule.memory, MAX_PRIOR / (rule.prior * count))
+    if k < rule.steady:
+        return min(1.0, rate), rule.prior * rate, late
+    late += rate
+    return min(1.0, rate) / (1.0 + late), 0.0, late
 
 
 @njit(**ENTRY)
@@ -369,66 +459,40 @@ def recursive_em(
     """The mixture and the share of a uniform density after one sample at a time [M09 (16)-(20)].
 
     A component whose weight turns negative is removed. After the steady samples, each one counts
-    for the Gaussians by the probability that it did not come from the uniform density, whose share
-    is ``uniform`` at first and not among the weights, which sum to 1. ``order`` (K,): indices of
-    the ``samples`` (n, d) in the order in which they are taken; they may repeat.
+    for the Gaussians by the probability that it did not come from the uniform density. That has the
+    share ``uniform`` at first, which is not among the weights; these sum to 1. ``order`` (K,):
+    indices of the ``samples`` (n, d) in the order in which they are taken; they may repeat.
     """
-    left = mixture.weight.copy()
-    mean = mixture.mean.T.copy()
-    cov = mixture.covariance.copy()
-    d = mean.shape[1]
+    now = Learned(
+        mixture.weight.copy(),
+        np.ascontiguousarray(mixture.mean.T),
+        mixture.covariance.copy(),
+        np.zeros(mixture.covariance.shape),
+        np.empty(mixture.weight.size),
+    )
     late = 0.0
-    root = np.zeros(cov.shape)
-    log_peak = np.empty(left.size)
-    step = np.empty(d)
-    y = np.empty(d)
-    for m in range(left.size):
-        log_peak[m] = -0.5 * (factor(cov[m], root[m]) + d * LOG_2PI)
+    for m in range(now.weight.size):
+        _prepare(now, m)
     for k in range(order.size):
         x = samples[order[k]]
-        alive = left.size
-        share = np.empty(alive)
-        for m in range(alive):
-            for r in range(d):
-                step[r] = x[r] - mean[m, r]
-            share[m] = log_peak[m] - 0.5 * norm2(step, root[m], y) + np.log(left[m])
-        # o_m = π_m N_m(x) / Σ_j π_j N_j(x)
-        top = share.max()
-        share = np.exp(share - top)
-        total = share.sum()
-        share /= total
-        ratio = (
-            math.exp(min(700.0, top + math.log(total) + rule.log_volume))
-            * (1.0 - uniform)
-            / uniform
-        )
+        count = now.weight.size
+        share, log_density = _shares(now, x)
+        # The probability that the sample came from the uniform density, and that density's share.
+        ratio = math.exp(min(700.0, log_density + rule.log_volume)) * (1.0 - uniform) / uniform
         flat = 1.0 / (1.0 + ratio)
-        settling = k >= rule.steady
-        rate = min(1.0 / rule.memory, MAX_PRIOR / (rule.prior * alive))
-        prior = rule.prior * rate
-        beta = min(1.0, rate)
-        if settling:
-            late += rate
-            prior = 0.0
-            beta = beta / (1.0 + late)
-        uniform = min(
-            1.0 - rule.min_uniform, max(rule.min_uniform, uniform + beta * (flat - uniform))
-        )
-        beta *= 1.0 - flat if settling else 1.0
-        for m in range(alive):
+        beta, prior, late = _rates(rule, k, count, late)
+        uniform = max(rule.min_uniform, uniform + beta * (flat - uniform))
+        uniform = min(1.0 - rule.min_uniform, uniform)
+        if k >= rule.steady:
+            beta *= 1.0 - flat
+        left = now.weight
+        for m in range(count):
             moved = min(1.0, beta * share[m] / left[m])
-            left[m] += beta * ((share[m] - prior) / (1.0 - alive * prior) - left[m])
+            left[m] += beta * ((share[m] - prior) / (1.0 - count * prior) - left[m])
             if moved > NEGLIGIBLE:
-                for r in range(d):
-                    step[r] = x[r] - mean[m, r]
-                _move(mean[m], cov[m], step, rule.floor, moved)
-                log_peak[m] = -0.5 * (factor(cov[m], root[m]) + d * LOG_2PI)
-        if left.min() <= 0.0:
-            kept = np.flatnonzero(left > 0.0)
-            left = left[kept]
-            mean = mean[kept]
-            cov = cov[kept]
-            root = root[kept]
-            log_peak = log_peak[kept]
-        left /= left.sum()
-    return Gaussians(left, mean.T.copy(), cov), uniform
+                _move(now, m, x, rule.floor, moved)
+        now = _without_negative(now)
+        total = now.weight.sum()
+        for m in range(now.weight.size):
+            now.weight[m] /= total
+    return Gaussians(now.weight, np.ascontiguousarray(now.mean.T), now.covariance), uniform

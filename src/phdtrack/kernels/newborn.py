@@ -1,9 +1,8 @@
-"""Newborn particles around the measurements: where they lie, and the density of the proposal that
-they were drawn from.
+"""Newborn particles around the measurements: their states, and the density of their proposal.
 
 The newborn of measurement j are the columns first[j] … first[j + 1] − 1. All of a frame are placed
-from one table of points of a truncated standard Gaussian, of which each measurement takes its own
-stretch: each one's newborn follow the proposal exactly; those of two measurements in one frame are
+from one table of points of a truncated standard Gaussian, of which each measurement uses its own
+stretch: the newborn of each follow the proposal exactly; those of two measurements in one frame are
 not independent of each other, which changes no expectation.
 """
 
@@ -26,9 +25,9 @@ class Proposal(NamedTuple):
     """The Gaussians about N measurements that newborn particles are drawn from.
 
     ``mean`` (d, N) states; ``rows`` (r,) of the state that measurements show; ``root``, ``inverse``
-    (N, r, r) the Cholesky factor of what is shown and its inverse; ``velocity`` (N, 2, 2) a factor
-    for velocities; ``peak`` (N,) the density at the mean, J_j of them together; ``reach`` (2, N)
-    half the extent in position.
+    (N, r, r): Cholesky factor of the covariance in these rows and its inverse; ``velocity`` (N, 2,
+    2): factor for velocities; ``peak`` (N,): density at the mean, times J_j; ``reach`` (2, N): half
+    the extent in position.
     """
 
     mean: F8
@@ -45,8 +44,8 @@ def proposals(mean: F8, cov: F8, rows: I8, counts: I8, limit: float, kept: float
     """The proposals from states (d, N) and covariances (N, d, d), for ``counts`` (N,) newborn of
     each measurement.
 
-    ``rows`` (r,) of the state are what measurements show. ``limit``, ``kept``: the squared radius
-    at which a Gaussian is cut, and the part of it inside.
+    ``rows`` (r,) of the state are shown by measurements. ``limit``, ``kept``: the squared radius
+    at which a Gaussian is truncated, and its mass inside.
     """
     count = counts.size
     r = rows.size
@@ -87,11 +86,10 @@ def standard_points(normal: Real, uniform: F8, radii: F8) -> Real:
     each vector.
 
     The quantiles of the radii are a golden-section sequence, so that every stretch of the points
-    has about every radius: the importance weights of a flat γ follow the radius alone, and a
-    thousand independent ones would leave the mass of the newborn uncertain by 9 %. Velocities have
-    uniform direction and standard Gaussian amplitude [M07 §2]. They are made of standard ``normal``
-    numbers (r + 1, P), ``uniform`` ones (P + 1,), and the ``radii`` (K,) at equal steps of the
-    quantile.
+    covers all radii: the importance weights of a flat γ depend on the radius alone, and a thousand
+    independent ones would leave the mass of the newborn uncertain by 9 %. Velocities have uniform
+    direction and standard Gaussian amplitude [M07 §2]. ``normal`` (r + 1, P): standard normal
+    numbers; ``uniform`` (P + 1,): uniform ones; ``radii`` (K,): at equal steps of the quantile.
     """
     r = normal.shape[0] - 1
     count = normal.shape[1]
@@ -122,8 +120,8 @@ def place_newborn(
     """Write newborn states into ``out`` (d, L), and Σ_i J_i p_i(x) there into ``density`` (L,) [M07
     §2].
 
-    Those of each measurement are placed from ``points`` (r + 3, P) from ``begin`` (N,) on. p_i is
-    cut at the squared radius ``limit``.
+    Those of each measurement use ``points`` (r + 3, P) from ``begin`` (N,) on. p_i is truncated at
+    the squared radius ``limit``.
     """
     mean, rows, root, inverse, velocity, peak, reach = about
     count = mean.shape[1]
@@ -132,7 +130,7 @@ def place_newborn(
     lower = mean[:2] - reach
     upper = mean[:2] + reach
     grid = make_grid(lower, upper, 0.0, 0.0)
-    found = np.empty(count, np.int64)
+    near = np.empty(count, np.int64)
     squares = np.empty(np.max(np.diff(first)), out.dtype)
     for j in range(count):
         n = first[j + 1] - first[j]
@@ -143,29 +141,37 @@ def place_newborn(
         own = real(peak[j])
         source = U(begin[j])
         for i in range(U(n)):
-            # Of its own proposal by its radius: on the rim of the region rounding could put a
-            # particle outside.
+            # Its own proposal by the radius: rounding could put a particle on the rim of the region
+            # outside.
             density[at + i] = own * points[r + 2, source + i]
-        for m in range(
-            overlapping(lower[0, j], lower[1, j], upper[0, j], upper[1, j], grid, found)
-        ):
-            k = found[m]
+        some = overlapping(lower[0, j], lower[1, j], upper[0, j], upper[1, j], grid, near)
+        for m in range(some):
+            k = near[m]
             if k != j and peak[k] > 0.0:
                 _squares(mean, rows, inverse, k, first[j], n, out, squares)
-                factor = real(peak[k])
+                scale = real(peak[k])
                 rim = real(limit)
                 zero = real(0)
                 half = real(-0.5)
                 for i in range(U(n)):
-                    value = factor * exp_of(half * squares[i])
+                    value = scale * exp_of(half * squares[i])
                     density[at + i] += value if squares[i] <= rim else zero
 
 
 @njit(**VECTOR)
 def _place(
-    mean: F8, rows: I8, root: F8, velocity: F8, points: Real, j: int, begin: int, first: int, n: int, out: Real
-) -> None:  # fmt: skip
-    """Write n states of measurement ``j`` from column ``first`` on, from the points from ``begin``
+    mean: F8,
+    rows: I8,
+    root: F8,
+    velocity: F8,
+    points: Real,
+    j: int,
+    begin: int,
+    first: int,
+    n: int,
+    out: Real,
+) -> None:
+    """Write n states of measurement ``j`` from column ``first`` on, using the points from ``begin``
     on.
     """
     at = U(first)
@@ -180,10 +186,10 @@ def _place(
         row = U(rows[a] if a < r else 2 + a - r)
         lower = 0 if a < r else r
         for c in range(lower, a + 1):
-            factor = real(root[j, a, c] if a < r else velocity[j, a - r, c - r])
-            if factor != real(0):
+            scale = real(root[j, a, c] if a < r else velocity[j, a - r, c - r])
+            if scale != real(0):
                 for i in range(U(n)):
-                    out[row, at + i] += factor * points[c, source + i]
+                    out[row, at + i] += scale * points[c, source + i]
 
 
 @njit(**VECTOR)
@@ -202,10 +208,10 @@ def _squares(
             diagonal &= inverse[k, a, c] == 0.0
         if diagonal:
             row = U(rows[a])
-            factor = real(inverse[k, a, a])
+            scale = real(inverse[k, a, a])
             middle = real(mean[rows[a], k])
             for i in range(U(n)):
-                part = factor * (state[row, at + i] - middle)
+                part = scale * (state[row, at + i] - middle)
                 squares[i] += part * part
         else:
             for i in range(U(n)):

@@ -1,10 +1,9 @@
-"""Blocks of neighbouring particles: what is known of one without looking at its particles again,
-and which windows reach it.
+"""Blocks of neighbouring particles: summary statistics of each, and the windows that reach it.
 
-A block is a run of columns of the state whose particles lie close together, so that what is near
-one of them is found once for all. Sums inside a block are taken in the state's own precision about
-a point of the block, everything beyond in float64. A window is a closed rectangle of positions,
-about a cluster's centre.
+A block is a run of columns of the state whose particles lie close together, so that neighbours are
+searched once for all of them. Sums inside a block are in the state's own precision about a point of
+the block, everything beyond in float64. A window is a closed rectangle of positions about a
+cluster's centre.
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ import numpy as np
 
 from phdtrack.kernels import F8, I8, Bool, Real
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, FAST, LANES, VECTOR, extent, whole
-from phdtrack.kernels.grid import Grid, make_grid, overlapping, overlapping_pairs
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, LANES, VECTOR, extent, whole
+from phdtrack.kernels.grid import Grid, make_grid, overlapping, overlapping_pairs, sorted_by_cell
 from phdtrack.kernels.mixtures import Candidates, Gaussians
 
-# Columns are counted without a sign: one that might be negative is checked, and the check keeps
-# loops from being vectorised.
+# Column indices are unsigned: an index that might be negative is checked, and the check keeps loops
+# from being vectorised.
 U = np.uint64
 TINY = 1e-300
 
@@ -50,14 +49,15 @@ class Blocks(NamedTuple):
 @njit(**(ENTRY | {"fastmath": FAST}))
 def summarise(state: Real, weight: Real, start: I8) -> Blocks:
     """The blocks of particles ``state`` (d, L), ``weight`` (L,) or (1,), ``start`` (B + 1,), with
-    what is known of each.
+    their summary statistics.
+
+    ValueError if a state is not finite.
     """
     d = state.shape[0]
     blocks = start.size - 1
+    unit = 1.0
     if weight.size == 1:
         unit = float(weight[0])
-    else:
-        unit = 1.0
     mass = np.zeros(blocks)
     low = np.zeros((blocks, d))
     high = np.zeros((blocks, d))
@@ -65,10 +65,9 @@ def summarise(state: Real, weight: Real, start: I8) -> Blocks:
     first = np.zeros((blocks, d))
     second = np.zeros((blocks, d, d))
     even = d + d % 2
+    widest = LANES
     if blocks > 0:
         widest = whole(max(np.max(np.diff(start)), 1))
-    else:
-        widest = LANES
     row = np.zeros((2 * even + 1, widest), state.dtype)
     zero = np.zeros(d)
     for b in range(blocks):
@@ -77,10 +76,7 @@ def summarise(state: Real, weight: Real, start: I8) -> Blocks:
         if n == 0:
             continue
         full = load_steps(state, begin, n, zero, row)
-        for r in range(d):
-            low[b, r], high[b, r] = extent(row, r, 0, full)
-            middle[b, r] = state.dtype.type(0.5 * (low[b, r] + high[b, r]))
-            shift(row, r, n, full, state.dtype.type(middle[b, r]))
+        _centre(row, n, full, low[b], high[b], middle[b])
         mass[b] = n * unit
         by = 0
         if weight.size > 1:
@@ -101,6 +97,16 @@ def summarise(state: Real, weight: Real, start: I8) -> Blocks:
 
 
 @njit(**VECTOR)
+def _centre(row: Real, n: int, full: int, low: F8, high: F8, middle: F8) -> None:
+    """Write the box of n particles and its middle (d,), and subtract the middle from them."""
+    real = row.dtype.type
+    for r in range(low.size):
+        low[r], high[r] = extent(row, r, 0, full)
+        middle[r] = real(0.5 * (low[r] + high[r]))
+        shift(row, r, n, full, real(middle[r]))
+
+
+@njit(**VECTOR)
 def shift(row: Real, r: int, n: int, full: int, by: Real) -> None:
     """Subtract a number from the first n of a row; zeros follow."""
     for i in range(U(full)):
@@ -111,8 +117,8 @@ def shift(row: Real, r: int, n: int, full: int, by: Real) -> None:
 
 @njit(**VECTOR)
 def load_row(row: Real, r: int, n: int, values: Real, begin: int) -> None:
-    """Write n of the values, from number ``begin`` on, into a row; zeros follow to fill the vector
-    registers.
+    """Write n of the values, from number ``begin`` on, into a row, and zeros behind them to fill
+    the vector registers.
     """
     at = U(begin)
     for i in range(U(min(whole(n), values.size - begin))):
@@ -132,10 +138,10 @@ def row_sum(row: Real, r: int, n: int) -> float:
 
 @njit(**VECTOR)
 def load_steps(state: Real, begin: int, n: int, middle: F8, row: Real) -> int:
-    """Write n states, from column ``begin`` on, less ``middle`` (d,) into the first rows of
+    """Write n states, from column ``begin`` on, minus ``middle`` (d,) into the first rows of
     ``row``.
 
-    Copies of the last fill the vector registers; gives how many there are then.
+    Copies of the last one fill the vector registers; returns how many there are with them.
     """
     at = U(begin)
     full: int = whole(n)
@@ -153,8 +159,8 @@ def add_products(row: Real, weighted: int, n: int, second: F8) -> None:
     """Add the lower triangle of Σ w·s·sᵀ to ``second`` (d, d); steps s in the first rows, w·s from
     row ``weighted`` on.
 
-    The row behind each of them is zeros where d is odd: two rows by two, each number that is read
-    serves two products.
+    Two rows by two, so that each number that is read serves two products; if d is odd, a row of
+    zeros follows.
     """
     d = second.shape[0]
     zero = row.dtype.type(0)
@@ -205,22 +211,13 @@ def block_moments(blocks: Blocks) -> Gaussians:
 def reaching(blocks: Blocks, low: F8, high: F8) -> Candidates:
     """The windows ``low``, ``high`` (2, k) that overlap each block, ascending."""
     window, block = overlapping_pairs(low, high, blocks.grid)
-    first = np.zeros(blocks.start.size, np.int64)
-    which = np.empty(window.size, np.int64)
-    for p in range(block.size):
-        first[block[p] + 1] += 1
-    for b in range(first.size - 1):
-        first[b + 1] += first[b]
-    place = first.copy()
-    for p in range(block.size):
-        which[place[block[p]]] = window[p]
-        place[block[p]] += 1
-    return Candidates(blocks.start, first, which)
+    first, order = sorted_by_cell(block, blocks.start.size - 1)
+    return Candidates(blocks.start, first, window[order])
 
 
 @njit(**ENTRY)
 def unreached(blocks: Blocks, low: F8, high: F8) -> Bool:
-    """(L,) which particles lie in none of the windows ``low``, ``high`` (2, k)."""
+    """(L,) true for the particles that lie in none of the windows ``low``, ``high`` (2, k)."""
     x = blocks.state[0]
     y = blocks.state[1]
     near = reaching(blocks, low, high)
@@ -235,57 +232,55 @@ def unreached(blocks: Blocks, low: F8, high: F8) -> Bool:
             covered |= across and low[1, j] <= blocks.low[b, 1] and blocks.high[b, 1] <= high[1, j]
         for i in range(begin, end):
             free[i] = not covered
-        for j in windows[: 0 if covered else windows.size]:
+        if covered:
+            continue
+        for j in windows:
             for i in range(begin, end):
-                free[i] &= not (
-                    (x[i] >= low[0, j])
-                    & (x[i] <= high[0, j])
-                    & (y[i] >= low[1, j])
-                    & (y[i] <= high[1, j])
-                )
+                across = (x[i] >= low[0, j]) & (x[i] <= high[0, j])
+                free[i] &= not (across & (y[i] >= low[1, j]) & (y[i] <= high[1, j]))
     return free
 
 
-@njit(**ENTRY)
-def claim(blocks: Blocks, free: Bool, asked: I8, low: F8, high: F8) -> tuple[F8, Bool]:
-    """Centres (d, m) among the particles that are ``free`` (L,), and which are left.
+@njit(**INNER)
+def _inside(state: Real, i: int, low: F8, high: F8, a: int) -> bool:
+    """True if particle i lies in window a."""
+    across: bool = low[0, a] <= state[0, i] <= high[0, a]
+    along: bool = low[1, a] <= state[1, i] <= high[1, a]
+    return across and along
 
-    Each of the particles ``asked`` (k,) that is still free claims the free ones in its window (2,
+
+@njit(**ENTRY)
+def claim(blocks: Blocks, free: Bool, seeds: I8, low: F8, high: F8) -> tuple[F8, Bool]:
+    """Centres (d, m) among the particles that are ``free`` (L,), and (L,) those still free after.
+
+    Each of the particles ``seeds`` (k,) that is still free claims the free ones in its window (2,
     k): their mean is a centre.
     """
     d = blocks.state.shape[0]
     state = blocks.state
     left = free.copy()
     count = 0
-    found = np.empty(blocks.start.size, np.int64)
-    centre = np.empty((d, asked.size))
+    near = np.empty(blocks.start.size, np.int64)
+    centre = np.empty((d, seeds.size))
     total = np.empty(d)
-    for a in range(asked.size):
-        own = asked[a]
+    for a in range(seeds.size):
+        own = seeds[a]
         mass = 0.0
         if not left[own]:
             continue
         for r in range(d):
             total[r] = 0.0
-        for m in range(
-            overlapping(low[0, a], low[1, a], high[0, a], high[1, a], blocks.grid, found)
-        ):
-            b = found[m]
+        some = overlapping(low[0, a], low[1, a], high[0, a], high[1, a], blocks.grid, near)
+        for m in range(some):
+            b = near[m]
             for i in range(blocks.start[b], blocks.start[b + 1]):
-                inside = (
-                    low[0, a] <= state[0, i] <= high[0, a]
-                    and low[1, a] <= state[1, i] <= high[1, a]
-                )
-                if not (inside and left[i]):
+                if not (left[i] and _inside(state, i, low, high, a)):
                     continue
                 left[i] = False
-                if blocks.weight.size > 1:
-                    weight = blocks.weight[i]
-                else:
-                    weight = blocks.weight[0]
+                weight = blocks.weight[i if blocks.weight.size > 1 else 0]
                 mass += weight
                 for r in range(d):
-                    # About the asked particle: sums far from the origin lose their digits.
+                    # About the seed: sums far from the origin lose their digits.
                     total[r] += weight * (state[r, i] - state[r, own])
         if mass > 0.0:
             for r in range(d):

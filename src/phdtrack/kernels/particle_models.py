@@ -1,11 +1,11 @@
-"""What the particle sweeps ask of a model: small compiled functions of one particle, chosen by the
+"""Models of particle filters: small compiled functions of one particle, chosen by the type of the
 model's record.
 
-A motion and a sensor hand over a record of their numbers (`BoxWalk`, `OwnSize`, …). The functions
+A motion and a sensor provide a record of their numbers (`BoxWalk`, `OwnSize`, …). The functions
 `move`, `survives`, `sees_velocity`, `prepare`, `seen`, `distance` and `neighbourhood` have one
 implementation for each type of record. The sweeps (`kernels.particles`) call them, and Numba
-compiles the sweeps for the types that they are given. To add a model, write a record and register
-its functions with `implements`.
+compiles the sweeps for each type. To add a model, write a record and register its functions with
+`implements`.
 
 Particles lie in a scratch array: row r of particle i is ``s[r * BLOCK + i]``. Rows 0 to 7 are the
 state, rows 8 to 15 hold standard normal numbers while particles are moved.
@@ -45,9 +45,7 @@ _FORMS: dict[str, dict[type, Callable[..., Any]]] = {}
 def implements(
     function: Callable[..., Any], *models: type
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """A decorator that makes a function the implementation of ``function`` for these types of
-    records.
-    """
+    """A decorator that registers an implementation of ``function`` for these types of records."""
 
     def register(form: Callable[..., Any]) -> Callable[..., Any]:
         _FORMS[function.__name__].update(dict.fromkeys(models, form))
@@ -57,8 +55,8 @@ def implements(
 
 
 def _by_record(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``function`` as it was registered for the type of its first argument, or for any object,
-    compiled or not.
+    """A function that calls the implementation for the type of its first argument, or for any
+    object, compiled or not.
     """
     forms = _FORMS.setdefault(function.__name__, {})
 
@@ -76,7 +74,7 @@ def _by_record(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @_by_record
 def normals(model: Number) -> Number:
-    """How many standard normal numbers `move` needs, 4 or 8."""
+    """The number of standard normal numbers that `move` needs, 4 or 8."""
 
 
 @_by_record
@@ -86,44 +84,44 @@ def survives(model: Number, s: Real, i: int) -> Number:
 
 @_by_record
 def move(model: Number, s: Real, i: int) -> Number:
-    """Replace the state of particle i by a draw of f(·|x), from the normal numbers in the rows N0,
+    """Replace the state of particle i by a draw from f(·|x), with the normal numbers in rows N0,
     N1, …
     """
 
 
 @_by_record
 def sees_velocity(model: Number) -> Number:
-    """Whether `prepare` and `distance` read rows 2 and 3 of the state; only then are these
-    there.
+    """True if `prepare` and `distance` read rows 2 and 3 of the state; only then are these
+    loaded.
     """
 
 
 @_by_record
 def prepare(model: Number, s: Real, i: int) -> Number:
-    """Write what `distance` needs of particle i besides its state, the same for all measurements,
-    to the rows N0, N1, …
+    """Write terms of `distance` that are the same for all measurements into rows N0, N1, … of
+    particle i.
     """
 
 
 @_by_record
 def seen(model: Number, table: Real, j: int) -> Number:
-    """The numbers of measurement j that `distance` reads, as a tuple; ``table`` has a column for
+    """A tuple of the numbers of measurement j that `distance` reads; ``table`` has a column for
     each measurement.
     """
 
 
 @_by_record
 def distance(model: Number, z: Number, s: Real, i: int) -> Number:
-    """d² and c of particle i and the measurement ``z`` of `seen`, with g(z|x) = c·exp(−d²/2)."""
+    """d² and c of particle i and the measurement ``z`` from `seen`: g(z|x) = c·exp(−d²/2)."""
 
 
 @_by_record
 def neighbourhood(model: Number, s: Real, i: int) -> Number:
-    """Width and height within which particles near particle i are put into one block."""
+    """Width and height of the neighbourhood of particle i that belongs into one block."""
 
 
 def _word_single(x: Number) -> Number:
-    """The 32 bits that `number` has put into a number of the scratch array."""
+    """The 32 bits that `number` stored in a number of the scratch array."""
     return F(x).view(np.uint32)
 
 
@@ -145,11 +143,10 @@ number = by_type(_number_single, _number_double)
 
 
 class SensorNumbers(NamedTuple):
-    """What a sensor hands over for one frame.
+    """The numbers of a sensor for one frame.
 
-    ``model`` : its record; ``table`` (k, N) the measurements' columns for `seen`; ``detection``
-        (1,) p_D, or (0,) where it
-    differs from target to target: then `Sensor.p_detect` is asked.
+    ``model``: its record; ``table`` (k, N): the measurements' columns for `seen`; ``detection``:
+    p_D (1,), or (0,) if it depends on the state: then `Sensor.p_detect` gives it.
     """
 
     model: Number
@@ -209,7 +206,7 @@ class OwnSize(NamedTuple):
 
 
 class GivenSize(NamedTuple):
-    """`models.BoxSensor` whose deviations are the measurement's: rows 4 to 7 of the table hold one
+    """`models.BoxSensor` whose deviations are the measurement's: rows 4 to 7 of the table are one
     over them.
     """
 
@@ -217,8 +214,8 @@ class GivenSize(NamedTuple):
 
 
 class PlanePoint(NamedTuple):
-    """A measured position; rows 2 to 4 of the table hold R⁻¹ as xx, xy, yy, row 5 the density's
-    factor.
+    """A measured position; rows 2 to 4 of the table are R⁻¹ as xx, xy, yy, row 5 the factor of the
+    density.
 
     ``reach`` is the extent of a block.
     """
@@ -232,8 +229,8 @@ def walk(
     survival: float,
     borders: tuple[float, float, float, float],
 ) -> Walk:
-    """Constant velocity with the ``noise`` of position, both, and velocity of an axis; borders all
-    0 are none.
+    """Constant velocity with variances ``noise`` of position, of both, and of velocity along an
+    axis; borders of all 0 are none.
     """
     place, both, speed = noise
     kick = math.sqrt(speed)
@@ -257,11 +254,10 @@ def position_numbers(z: F8, covariance: F8) -> tuple[PlanePoint, F8]:
     """Measured positions (2, N) with their covariances (N, 2, 2), as `PlanePoint` reads them."""
     inverse = np.linalg.inv(covariance)
     factor = np.sqrt(np.linalg.det(inverse)) / (2 * math.pi)
-    # Ten deviations hold the particles of one target, and few more.
+    # Ten deviations contain the particles of one target, and few others.
+    reach = 1.0
     if z.shape[1]:
         reach = 10 * math.sqrt(float(np.trace(covariance, axis1=1, axis2=2).mean()) / 2)
-    else:
-        reach = 1.0
     return PlanePoint(reach), np.stack(
         [z[0], z[1], inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], factor]
     )
@@ -294,8 +290,8 @@ def _move_box(model: Number, s: Real, i: int) -> None:
     smallest = model.min_size
     w = s[W + i]
     h = s[H + i]
-    unit_x = ONE + model.scaled * ((w if w > smallest else smallest) - ONE)
-    unit_y = ONE + model.scaled * ((h if h > smallest else smallest) - ONE)
+    unit_x = ONE + model.scaled * (max(smallest, w) - ONE)
+    unit_y = ONE + model.scaled * (max(smallest, h) - ONE)
     push_x = model.kick * unit_x * s[N0 + i]
     push_y = model.kick * unit_y * s[N1 + i]
     vx = s[VX + i]
@@ -338,8 +334,8 @@ def _prepare_own(model: Number, s: Real, i: int) -> None:
     # One over the deviations of a box of this size, and the density's factor.
     sw = model.noise * s[W + i]
     sh = model.noise * s[H + i]
-    iw = ONE / (sw if sw > model.min_noise else model.min_noise)
-    ih = ONE / (sh if sh > model.min_noise else model.min_noise)
+    iw = ONE / max(model.min_noise, sw)
+    ih = ONE / max(model.min_noise, sh)
     s[N0 + i] = iw
     s[N1 + i] = ih
     s[N2 + i] = NORM * (iw * ih) * (iw * ih)

@@ -62,10 +62,10 @@ from phdtrack.kernels.particle_models import (
 )
 
 F = np.float32
-# Columns are counted without a sign (U): the check of one that might be negative keeps loops from
-# being vectorised. Rows of the scratch array behind the state and the normal numbers: weights,
-# these times p_D, sums; states of generators.
-WEIGHT, SEEN, SUM = (BLOCK * row for row in range(16, 19))
+# Column indices are unsigned (U): the check of one that might be negative keeps loops from being
+# vectorised. Rows of the scratch array behind the state and the normal numbers: weights, weights
+# times p_D, sums; states of generators.
+WEIGHT, DETECTED, SUM = (BLOCK * row for row in range(16, 19))
 S0, S1, S2, S3 = (BLOCK * row for row in range(18, 22))
 ROWS = 23
 MINUS_TWO = F(-2.0)
@@ -90,13 +90,13 @@ class Part(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """The measurements near each block, and what they say of it.
+    """The measurements near each block, and the sums of their likelihoods.
 
-    ``extents`` (B, 6) left, top, right, bottom of its positions, mean width and height of a few
-    neighbourhoods in it; ``mass``, ``missed`` (B,) Σ share, Σ (1 − p_D)·share. ``first`` (B + 1,):
+    ``extents`` (B, 6): left, top, right, bottom of its positions, mean width and height of a few
+    neighbourhoods in it; ``mass``, ``missed`` (B,): Σ share, Σ (1 − p_D)·share. ``first`` (B + 1,):
     block b has the pairs first[b] … first[b + 1] − 1; ``which`` (P,): the measurement of each;
-    ``evidence`` (P,) Σ p_D·share·g(z|x) of each, ``near`` (P,) Σ share of the particles inside the
-    region.
+    ``evidence`` (P,): Σ p_D·share·g(z|x) of each, ``near`` (P,): Σ share of the particles inside
+    the region.
     """
 
     extents: Real
@@ -110,8 +110,8 @@ class Sums(NamedTuple):
 
 @njit(**VECTOR)
 def load(s: Real, n: int, state: Real, at: int, velocity: bool) -> None:
-    """Copy the columns at … at + n − 1 of ``state`` (d, L) into the block; copies of the last fill
-    the vector registers.
+    """Copy the columns at … at + n − 1 of ``state`` (d, L) into the block, and copies of the last
+    to fill the vector registers.
     """
     full = min(whole(n), state.shape[1] - at)
     for r in range(state.shape[0]):
@@ -119,8 +119,8 @@ def load(s: Real, n: int, state: Real, at: int, velocity: bool) -> None:
         begin = U(at)
         if not velocity and (r * BLOCK == VX or r * BLOCK == VY):
             continue
-        # Whole registers, what lies behind the block with them: numbers that are left over are
-        # copied one by one.
+        # Whole registers, with what lies behind the block: remaining numbers would be copied one
+        # by one.
         for i in range(U(full)):
             s[row + i] = state[r, begin + i]
         for i in range(U(n), U(whole(n))):
@@ -129,8 +129,8 @@ def load(s: Real, n: int, state: Real, at: int, velocity: bool) -> None:
 
 @njit(**VECTOR)
 def load_row(s: Real, row: int, n: int, values: Real, at: int) -> None:
-    """Copy values[at] … into a row of the block: of an empty array ones, of one number that number;
-    zeros follow.
+    """Copy values[at] … into a row of the block, or ones if there are none, or the only one; zeros
+    follow.
     """
     to = U(row)
     begin = U(at)
@@ -138,10 +138,9 @@ def load_row(s: Real, row: int, n: int, values: Real, at: int) -> None:
         for i in range(U(min(whole(n), values.size - at))):
             s[to + i] = values[begin + i]
     else:
+        value = s.dtype.type(1)
         if values.size == 1:
             value = values[0]
-        else:
-            value = s.dtype.type(1)
         for i in range(U(whole(n))):
             s[to + i] = value
     for i in range(U(n), U(whole(n))):
@@ -152,11 +151,11 @@ def load_row(s: Real, row: int, n: int, values: Real, at: int) -> None:
 def fill_normals(
     s: Real, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1: np.uint32
 ) -> None:
-    """Standard normals into the rows N0 to N3 [Box and Muller 1958].
+    """Write standard normals into the rows N0 to N3 [Box and Muller 1958].
 
-    Particle i takes the words of the two streams of lane i mod `LANES` whose states are the words
-    of the counter (lane, c1, c2, 0). The streams' states go through the rows from G on, in one
-    array with the normals: so the compiler sees that rows do not overlap.
+    Particle i uses the words of the two streams of lane i mod `LANES`, which are seeded with the
+    words of the counter (lane, c1, c2, 0). The streams' states are in the rows from S0 on, in one
+    array with the normals: so the compiler knows that rows do not overlap.
     """
     like = s[0]
     for i in range(LANES):
@@ -217,8 +216,8 @@ def predict(
     moved: Real,
     kept: Real,
 ) -> None:
-    """Move the blocks lo … hi − 1 by f(·|x) into ``moved`` (d, L), and multiply their shares by p_S
-    into ``kept`` (L,).
+    """Write the particles of blocks lo … hi − 1, moved by f(·|x), into ``moved`` (d, L), and their
+    shares times p_S into ``kept`` (L,).
     """
     k0 = WORD(key[0])
     k1 = WORD(key[1])
@@ -239,7 +238,7 @@ def predict(
                 s[N4 + i] = s[N0 + i]
         fill_normals(s, full, WORD(b), WORD(0), k0, k1)
         move_block(motion, s, full)
-        # Whole registers: what is too much the next block overwrites.
+        # Whole registers: the next block overwrites what is too much.
         begin = U(at)
         full = min(full, start[hi] - at)
         for r in range(d):
@@ -280,12 +279,14 @@ def outline(sensor: Number, s: Real, n: int, out: Real) -> None:
 def load_part(
     sensor: Number, s: Real, n: int, state: Real, share: Real, detect: Real, at: int
 ) -> None:
-    """Copy a block's states and weights, write its weights times p_D, and what likelihoods need."""
+    """Copy a block's states and weights, and write its weights times p_D and the terms of
+    likelihoods.
+    """
     load(s, n, state, at, sees_velocity(sensor))
     load_row(s, WEIGHT, n, share, at)
-    load_row(s, SEEN, n, detect, at)
+    load_row(s, DETECTED, n, detect, at)
     for i in range(whole(n)):
-        s[SEEN + i] *= s[WEIGHT + i]
+        s[DETECTED + i] *= s[WEIGHT + i]
     for i in range(whole(n)):
         prepare(sensor, s, i)
 
@@ -293,12 +294,12 @@ def load_part(
 @njit(**VECTOR)
 def add_up(s: Real, n: int) -> tuple[Number, Number]:
     """Σ share, and Σ (1 − p_D)·share of n particles."""
-    known = s.dtype.type(0)
-    lost = s.dtype.type(0)
+    mass = s.dtype.type(0)
+    missed = s.dtype.type(0)
     for i in range(n):
-        known += s[WEIGHT + i]
-        lost += s[WEIGHT + i] - s[SEEN + i]
-    return known, lost
+        mass += s[WEIGHT + i]
+        missed += s[WEIGHT + i] - s[DETECTED + i]
+    return mass, missed
 
 
 @njit(**VECTOR)
@@ -314,11 +315,8 @@ def evaluate(
     zero = total = near = s.dtype.type(0)
     for i in range(n):
         d2, factor = distance(sensor, z, s, i)
-        if d2 <= far:
-            value = exp_of(half * d2)
-        else:
-            value = zero
-        total += factor * value * s[SEEN + i]
+        value = exp_of(half * d2) if d2 <= far else zero
+        total += factor * value * s[DETECTED + i]
         near += s[WEIGHT + i] if d2 <= limit else zero
     return total, near
 
@@ -332,16 +330,13 @@ def add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Numbe
     zero = s.dtype.type(0)
     for i in range(n):
         d2, factor = distance(sensor, z, s, i)
-        if d2 <= far:
-            value = exp_of(half * d2)
-        else:
-            value = zero
-        s[SUM + i] += by * factor * value * s[SEEN + i]
+        value = exp_of(half * d2) if d2 <= far else zero
+        s[SUM + i] += by * factor * value * s[DETECTED + i]
 
 
 @njit(**INNER)
 def longer(which: I8, sums: F8, used: int, size: int) -> tuple[I8, F8]:
-    """The first ``used`` pairs in lists of ``size``."""
+    """Copies of the first ``used`` pairs with room for ``size``."""
     wide = np.empty(size, np.int64)
     deep = np.empty((2, size))
     for e in range(used):
@@ -355,7 +350,7 @@ def longer(which: I8, sums: F8, used: int, size: int) -> tuple[I8, F8]:
 def likelihoods(
     lo: int, hi: int, part: Part, sensor: Number, table: Real, gates: Grid, region: float
 ) -> Sums:
-    """What the measurements say of the blocks lo … hi − 1.
+    """Sums of the likelihoods of measurements near the blocks lo … hi − 1.
 
     A block and the measurements whose ``gates`` its extent overlaps are a pair. ``region``: the
     squared radius within which mass counts as explaining a measurement.
@@ -367,7 +362,7 @@ def likelihoods(
     mass = np.zeros(blocks)
     missed = np.zeros(blocks)
     s = np.empty(ROWS * BLOCK, state.dtype)
-    found = np.empty(table.shape[1] + 1, np.int64)
+    gated = np.empty(table.shape[1] + 1, np.int64)
     limit = state.dtype.type(region)
     first = np.zeros(blocks + 1, np.int64)
     which = np.empty(2 * blocks + 64, np.int64)
@@ -380,15 +375,15 @@ def likelihoods(
             load_part(sensor, s, n, state, share, detect, at)
             outline(sensor, s, whole(n), extents[b])
             left, top, right, bottom, _, _ = extents[b]
-            near = overlapping(float(left), float(top), float(right), float(bottom), gates, found)
-            known, lost = add_up(s, whole(n))
-            mass[b] = float(known)
+            near = overlapping(float(left), float(top), float(right), float(bottom), gates, gated)
+            here, lost = add_up(s, whole(n))
+            mass[b] = float(here)
             missed[b] = float(lost)
         if used + near > which.size:
             which, sums = longer(which, sums, used, 2 * (used + near))
         for m in range(near):
-            total, inside = evaluate(sensor, table, found[m], s, whole(n), limit)
-            which[used + m] = found[m]
+            total, inside = evaluate(sensor, table, gated[m], s, whole(n), limit)
+            which[used + m] = gated[m]
             sums[0, used + m] = float(total)
             sums[1, used + m] = float(inside)
         used += near
@@ -408,14 +403,14 @@ def update_weights(
     missed: float,
     factor: F8,
 ) -> None:
-    """Make the shares in WEIGHT those after the update [M07 (5), M09 (10)].
+    """Update the shares in WEIGHT [M07 (5), M09 (10)].
 
     share·(``missed``·(1 − p_D) + Σ_z ``factor``[z]·p_D·g(z|x)), z of the pairs ``begin`` … ``end``
     − 1.
     """
     real = s.dtype.type
     for i in range(n):
-        s[SUM + i] = real(missed) * (s[WEIGHT + i] - s[SEEN + i])
+        s[SUM + i] = real(missed) * (s[WEIGHT + i] - s[DETECTED + i])
     for e in range(begin, end):
         add_detected(sensor, table, which[e], s, n, real(factor[which[e]]))
     for i in range(n):
@@ -434,7 +429,7 @@ def weigh(
     factor: F8,
     result: Real,
 ) -> None:
-    """Shares after the update of the blocks lo … hi − 1 into ``result`` (L,), see
+    """Write the shares of blocks lo … hi − 1 after the update into ``result`` (L,), see
     `update_weights`.
     """
     state, share, detect, start = part

@@ -1,5 +1,4 @@
-"""Pictures kept as planes, as decoders have them: smoothed, their noise and their light, and what
-is drawn on them.
+"""Pictures as planes, as decoders make them: smoothing, noise, light, and drawing.
 
 They are YUV 4:2:0 in one row (n,): brightness (H·W), and below it the blue and the red colour
 difference, each a plane of half width and height, rounded up.
@@ -36,28 +35,28 @@ TO_BGR: F8 = np.array([[1, 1.772, 0], [1, -0.344136, -0.714136], [1, 0, 1.402]])
     [GREYS, COLOURS, COLOURS]
 )
 FROM_BGR: F8 = np.asarray(np.linalg.inv(TO_BGR), np.float64)
-# Grey levels between which a pixel tells of the light, the fewest pixels, and the deviations within
-# which they fit.
+# The light is fitted to pixels between these grey levels, if there are enough, within so many
+# deviations.
 _DARKEST = 8
 _BRIGHTEST = 245
 _FEWEST = 50
 _NEAR = 2.5
 _ROUNDS = 3
 _BINS = 8192
-# Pixels of a row that are passed over together where nothing was drawn on them, and the bits of two
-# of them.
+# Pixels of a row that are skipped together if nothing was drawn on them, and the bits of two of
+# them.
 _STRETCH = 8
 _TWO = D(0xFFFF)
 _BITS = D(16)
 
 
 def luma(picture: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
-    """(H, W) the brightness of a picture (n, ...) of this shape, the same memory."""
+    """(H, W) a view of the brightness of a picture (n, ...) of this shape."""
     return picture[: shape[0] * shape[1]].reshape(*shape, *picture.shape[1:])
 
 
 def colours(picture: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
-    """(2, h, w) its colour differences of blue and red, the same memory."""
+    """(2, h, w) a view of its colour differences of blue and red."""
     height, width = shape
     return picture[height * width :].reshape(
         2, (height + 1) // 2, (width + 1) // 2, *picture.shape[1:]
@@ -99,6 +98,7 @@ def _three(picture: U1, start: int, sums: I4, slot: int) -> None:
 
 @njit(**VECTOR)
 def _ninth(sums: I4, rows: tuple[int, int, int], picture: U1, start: int) -> None:
+    """Write the means of squares of nine numbers from the sums of threes in these rows."""
     above, here, below = rows
     for i in range(D(sums.shape[1])):
         # The ninth, rounded, of up to 2295.
@@ -108,11 +108,11 @@ def _ninth(sums: I4, rows: tuple[int, int, int], picture: U1, start: int) -> Non
 
 @njit(**ENTRY)
 def noise(image: U1, before: U1, shape: tuple[int, int], step: int) -> I8:
-    """(3, 256) how often every ``step``-th pixel both ways of ``image`` (n,), of this shape,
-    differs by so much.
+    """(3, 256) histograms of the differences of every ``step``-th pixel both ways of ``image``
+    (n,), of this shape, from the frame before.
 
-    From ``before`` (3, h, w): logarithm of brightness, and the colours, which become those of this
-    image; ``step`` is even.
+    ``before`` (3, h, w): logarithm of brightness, and the colours; become those of this image.
+    ``step`` is even.
     """
     tall, wide = shape
     _, height, width = before.shape
@@ -132,9 +132,7 @@ def noise(image: U1, before: U1, shape: tuple[int, int], step: int) -> I8:
 
 @njit(**INNER)
 def quartile(counts: I8) -> float:
-    """The third quartile of whole numbers from 0 on of which there are so many each, as NumPy's
-    percentile.
-    """
+    """The third quartile of whole numbers with this histogram, as by NumPy's percentile."""
     place = 0.75 * (counts.sum() - 1)
     below = 0
     low = -1
@@ -149,12 +147,12 @@ def quartile(counts: I8) -> float:
 
 @njit(**ENTRY)
 def lighting(reference: F4, image: U1, foreground: U1, step: int) -> F4:
-    """(3, 4) what brings the ``reference`` into the light of ``image``: a matrix, and in its last
-    column what is added.
+    """(3, 4) the map of the ``reference`` into the light of ``image``: a matrix, and in its last
+    column the offsets.
 
-    It maps brightness less 16, and the colour differences of blue and red less 128. Blue, green and
-    red each have a gain and an offset, fitted to every ``step``-th pixel both ways outside of the
-    ``foreground``; 1 and 0 where too few tell.
+    It maps brightness − 16, and the colour differences of blue and red − 128. Blue, green and red
+    each have a gain and an offset, fitted to every ``step``-th pixel both ways outside of the
+    ``foreground``; 1 and 0 if there are too few pixels.
     """
     height, width = foreground.shape
     first = step // 2
@@ -201,7 +199,7 @@ def lighting(reference: F4, image: U1, foreground: U1, step: int) -> F4:
 
 @njit(**INNER)
 def _line(x: F8, y: F8, size: F8, counts: I4) -> tuple[float, float]:
-    """Gain and offset of y ≈ gain·x + offset, robust; ``size`` and ``counts`` are overwritten."""
+    """Gain and offset of a robust fit y ≈ gain·x + offset; ``size`` and ``counts`` are scratch."""
     if x.size < _FEWEST:
         return 1.0, 0.0
     for i in range(x.size):
@@ -228,8 +226,8 @@ def _line(x: F8, y: F8, size: F8, counts: I4) -> tuple[float, float]:
         b = b / n
         aa = aa / n
         ab = ab / n
-        # A scene of one brightness does not tell gain from offset: keep the gain and move the
-        # offset alone.
+        # A scene of one brightness does not separate gain and offset: keep the gain and move only
+        # the offset.
         if aa - a * a > 100.0:
             gain = (ab - a * b) / (aa - a * a)
         n = 0

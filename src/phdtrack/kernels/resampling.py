@@ -1,8 +1,8 @@
 """Systematic resampling of particles in blocks [M07 §2].
 
 The comb is laid over the masses of the blocks after the update, which follow from sums of
-likelihoods. Only the particles of blocks on which one of its teeth falls are weighed, and those on
-which one falls are copied.
+likelihoods. Only the particles of blocks that get a tooth are weighed, and only particles that get
+one are copied.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from phdtrack.kernels import F8, I4, I8, U4, Real
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, whole
 from phdtrack.kernels.fast32 import D as U
-from phdtrack.kernels.grid import cell_of
+from phdtrack.kernels.grid import cell_of, sorted_by_cell
 from phdtrack.kernels.particle_models import BLOCK, Number, X, Y
 from phdtrack.kernels.particles import ROWS, SUM, WEIGHT, Part, Sums, load_part, update_weights
 
 QUARTER = BLOCK // 4
-# Offspring that are written of every particle, whether it has them or not.
+# Offspring that are written for every particle, even if it has fewer.
 COPIES = 4
 FIXED = 2.0**32
 SMALL = 1e-9
@@ -30,9 +30,9 @@ MOST_CELLS = 2048.0
 class Comb(NamedTuple):
     """The resampling comb over blocks in their order.
 
-    ``teeth``, ``first`` (B,) how many offspring each has, and the column of the first; ``phase``,
-    ``width`` (B,) where its first tooth stands and how wide it is, in steps of the comb;
-    ``divided`` (B,) 1 or 2 where its particles are to be parted along x or y.
+    ``teeth``, ``first`` (B,): number of offspring of each, and the column of the first; ``phase``,
+    ``width`` (B,): position of its first tooth and its width, in steps of the comb; ``divided``
+    (B,): 1 or 2 if its particles are to be divided along x or y, else 0.
     """
 
     teeth: I8
@@ -45,60 +45,54 @@ class Comb(NamedTuple):
 @njit(**ENTRY)
 def by_cells(extents: Real) -> I8:
     """(B,) the blocks in the order of the cells that their centres lie in; cells are as large as
-    neighbourhoods are.
+    the average neighbourhood.
     """
     n = extents.shape[0]
-    x = np.empty(n)
-    y = np.empty(n)
-    width = 0.0
-    height = 0.0
-    for i in range(n):
-        x[i] = 0.5 * (extents[i, 0] + extents[i, 2])
-        y[i] = 0.5 * (extents[i, 1] + extents[i, 3])
-        width += extents[i, 4]
-        height += extents[i, 5]
-    x0 = np.inf
-    y0 = np.inf
-    x1 = -np.inf
-    y1 = -np.inf
-    for i in range(n):
-        x0 = min(x0, x[i])
-        x1 = max(x1, x[i])
-        y0 = min(y0, y[i])
-        y1 = max(y1, y[i])
-    wide = x1 - x0 if n else 0.0
-    high = y1 - y0 if n else 0.0
-    nx = int(min(wide * n / max(width, SMALL), MOST_CELLS)) + 1
-    ny = int(min(high * n / max(height, SMALL), MOST_CELLS)) + 1
+    x0, wide, nx, per_x = _cells(extents, 0)
+    y0, high, ny, per_y = _cells(extents, 1)
     if nx * ny > 4 * n + 16:
         shrink = np.sqrt((4 * n + 16) / (nx * ny))
         nx = max(int(nx * shrink), 1)
         ny = max(int(ny * shrink), 1)
-    per_x = nx / max(wide, SMALL)
-    per_y = ny / max(high, SMALL)
-    start = np.zeros(nx * ny + 1, np.int64)
+        per_x = nx / max(wide, SMALL)
+        per_y = ny / max(high, SMALL)
     cell = np.empty(n, np.int64)
-    order = np.empty(n, np.int64)
     for i in range(n):
-        cell[i] = cell_of(y[i], y0, per_y, ny) * nx + cell_of(x[i], x0, per_x, nx)
-        start[cell[i] + 1] += 1
-    for c in range(nx * ny):
-        start[c + 1] += start[c]
-    for i in range(n):
-        order[start[cell[i]]] = i
-        start[cell[i]] += 1
+        x = 0.5 * (extents[i, 0] + extents[i, 2])
+        y = 0.5 * (extents[i, 1] + extents[i, 3])
+        cell[i] = cell_of(y, y0, per_y, ny) * nx + cell_of(x, x0, per_x, nx)
+    order: I8
+    _, order = sorted_by_cell(cell, nx * ny)
     return order
+
+
+@njit(**INNER)
+def _cells(extents: Real, axis: int) -> tuple[float, float, int, float]:
+    """Origin, extent, number of cells, and cells per unit along an axis, of the blocks' centres."""
+    n = extents.shape[0]
+    low = np.inf
+    high = -np.inf
+    size = 0.0
+    for i in range(n):
+        centre = 0.5 * (extents[i, axis] + extents[i, axis + 2])
+        low = min(low, centre)
+        high = max(high, centre)
+        size += extents[i, axis + 4]
+    extent = 0.0
+    if n > 0:
+        extent = high - low
+    count = int(min(extent * n / max(size, SMALL), MOST_CELLS)) + 1
+    return low, extent, count, count / max(extent, SMALL)
 
 
 @njit(**ENTRY)
 def comb(mass: F8, extents: Real, count: int, offset: float) -> tuple[Comb, I8]:
-    """The teeth of a comb of ``count`` teeth over the blocks, and ``start`` (B',) of the blocks of
-    their offspring.
+    """A comb of ``count`` teeth over the blocks, and ``start`` (B',) of the blocks of offspring.
 
     Tooth k stands at (k + offset)/count of the total, 0 ≤ offset < 1. Masses (B,) count in steps of
     2⁻³² of the total, so that the order of a sum cannot matter. A block that is wider than its
-    neighbourhood is to be parted along its longer side: what has drifted apart is parted in a few
-    frames.
+    neighbourhood is to be divided along its longer side: particles that have drifted apart are
+    separate after a few frames.
     """
     n = mass.size
     order = by_cells(extents)
@@ -119,10 +113,7 @@ def comb(mass: F8, extents: Real, count: int, offset: float) -> tuple[Comb, I8]:
         begin = reached * per
         reached += size
         upto = int(np.ceil(reached * per - offset))
-        if reached >= total:
-            upto = count
-        else:
-            upto = max(min(upto, count), done)
+        upto = count if reached >= total else max(min(upto, count), done)
         teeth[b] = upto - done
         first[b] = done
         phase[b] = done + offset - begin
@@ -131,7 +122,7 @@ def comb(mass: F8, extents: Real, count: int, offset: float) -> tuple[Comb, I8]:
         wide = extents[b, 2] - extents[b, 0]
         high = extents[b, 3] - extents[b, 1]
         if wide > extents[b, 4] or high > extents[b, 5]:
-            # In neighbourhoods, without a division: a given state may have no size.
+            # In neighbourhoods, without a division: a fixed state may have no size.
             divided[b] = 1 if wide * extents[b, 5] >= high * extents[b, 4] else 2
     return Comb(teeth, first, phase, width, divided), offspring_blocks(
         order, teeth, divided, extents
@@ -140,53 +131,53 @@ def comb(mass: F8, extents: Real, count: int, offset: float) -> tuple[Comb, I8]:
 
 @njit(**INNER)
 def offspring_blocks(order: I8, teeth: I8, divided: I8, extents: Real) -> I8:
-    """Where the blocks of offspring begin.
+    """The first columns of the blocks of offspring, and behind them the end of the last.
 
     Offspring are put together into blocks of at most `BLOCK` while their common extent is at most
-    the neighbourhood's. Those of a block that is parted are halved.
+    the neighbourhood's. Those of a block that is divided are halved.
     """
     start = np.zeros(2 * order.size + teeth.sum() // BLOCK + 2, np.int64)
     blocks = 0
     filled = 0
-    left = 0.0
-    top = 0.0
-    right = 0.0
-    bottom = 0.0
+    common = np.zeros(4)
     for b in order:
         rest = teeth[b]
-        most = BLOCK
         if rest == 0:
             continue
-        x0 = float(extents[b, 0])
-        y0 = float(extents[b, 1])
-        x1 = float(extents[b, 2])
-        y1 = float(extents[b, 3])
-        left = min(left, x0)
-        right = max(right, x1)
-        top = min(top, y0)
-        bottom = max(bottom, y1)
-        apart = divided[b] > 0 or not (
-            right - left <= extents[b, 4] and bottom - top <= extents[b, 5]
-        )
-        if filled > 0 and apart:
+        fits = _join(common, extents, b) and divided[b] == 0
+        if filled > 0 and not fits:
             blocks = blocks + 1
             filled = 0
         if filled == 0:
-            left = x0
-            top = y0
-            right = x1
-            bottom = y1
+            for side in range(4):
+                common[side] = extents[b, side]
+        most = BLOCK
         if divided[b] > 0 and rest < 2 * BLOCK:
             most = (rest + 1) // 2
         while rest > 0:
-            take = min(rest, most - filled)
-            filled += take
-            rest -= take
+            some = min(rest, most - filled)
+            filled += some
+            rest -= some
             start[blocks + 1] = start[blocks] + filled
             if filled >= most or (rest == 0 and divided[b] > 0):
                 blocks = blocks + 1
                 filled = 0
-    return start[: blocks + (2 if filled > 0 else 1)]
+    if filled > 0:
+        blocks = blocks + 1
+    return start[: blocks + 1]
+
+
+@njit(**INNER)
+def _join(common: F8, extents: Real, b: int) -> bool:
+    """Grow the ``common`` extent (4,) by that of block b; True if it is no wider than a
+    neighbourhood.
+    """
+    for side in range(2):
+        common[side] = min(common[side], float(extents[b, side]))
+        common[side + 2] = max(common[side + 2], float(extents[b, side + 2]))
+    across: bool = common[2] - common[0] <= extents[b, 4]
+    along: bool = common[3] - common[1] <= extents[b, 5]
+    return across and along
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
@@ -202,7 +193,7 @@ def pick(
     teeth: Comb,
     out: Real,
 ) -> None:
-    """The offspring of the blocks lo … hi − 1, weighed as by `weigh`, into their columns of
+    """Write the offspring of the blocks lo … hi − 1, weighed as by `weigh`, into their columns of
     ``out``.
     """
     state, share, detect, start = part
@@ -234,8 +225,8 @@ def pick(
 
 @njit(**INNER)
 def divide(s: Real, n: int, row: int, order: U4) -> None:
-    """Write the order in which the particles before the middle of their extent along a row come
-    first; put weights in it.
+    """Write the order that puts the particles before the middle of their extent along a row first,
+    and sort their weights.
     """
     least = s[row]
     most = s[row]
@@ -256,11 +247,11 @@ def divide(s: Real, n: int, row: int, order: U4) -> None:
 
 @njit(**INNER)
 def own_teeth(s: Real, n: int, count: int, phase: float, width: float, upto: I4, owner: U4) -> None:
-    """Write the particle on whose stretch of the weights each tooth of the comb falls.
+    """Write the particle in whose stretch of the weights each tooth of the comb falls.
 
     In steps of the comb the block is ``width`` wide and its ``count`` teeth stand at phase, phase +
     1, … Rounding can leave the last teeth beyond the last sum: they belong to the last particle
-    that has a weight.
+    with a weight.
     """
     total = running_sum(s, n)
     last = n - 1
@@ -269,8 +260,8 @@ def own_teeth(s: Real, n: int, count: int, phase: float, width: float, upto: I4,
     shift = min(1.0 - phase, 1.0 - 2.0**-24)
     teeth_before(s, n, width / total if total > 0.0 else 0.0, shift, count, upto)
     for i in range(U(n)):
-        # So many without asking, or a branch is missed: what is too much the next particle
-        # overwrites.
+        # So many without a branch, which would be mispredicted; the next particle overwrites what
+        # is too much.
         for t in range(U(COPIES)):
             owner[begin + t] = i
         for t in range(begin + U(COPIES), U(upto[i])):
@@ -284,8 +275,8 @@ def own_teeth(s: Real, n: int, count: int, phase: float, width: float, upto: I4,
 
 @njit(**INNER)
 def running_sum(s: Real, n: int) -> float:
-    """The running sum of the weights into SUM, of four quarters at once so that none waits for
-    another's; the whole.
+    """Write the running sum of the weights into SUM, of four quarters at once so that none waits
+    for another; returns the whole sum.
     """
     zero = s.dtype.type(0)
     for i in range(n, BLOCK):
@@ -314,10 +305,9 @@ def running_sum(s: Real, n: int) -> float:
 
 @njit(**VECTOR)
 def teeth_before(s: Real, n: int, scale: float, shift: float, count: int, upto: I4) -> None:
-    """How many teeth stand before the end of each particle's stretch, from the running sums."""
+    """Write how many teeth stand before the end of each particle's stretch."""
     most = np.int32(count)
     per = s.dtype.type(scale)
     more = s.dtype.type(shift)
     for i in range(n):
-        here = np.int32(s[SUM + i] * per + more)
-        upto[i] = here if here < most else most
+        upto[i] = min(most, np.int32(s[SUM + i] * per + more))

@@ -21,18 +21,18 @@ _SINGULAR = 1e-14
 
 @njit(**INNER)
 def _factor(a: F8, low: F8) -> float:
-    """Fill ``low`` with the factors of a = L D Lᵀ, D on the diagonal, 0 where a is singular; log
-    |a| of what is not.
+    """Fill ``low`` with the factors of a = L D Lᵀ, D on the diagonal, 0 where a is singular;
+    returns log |a| of the regular part.
     """
     log_determinant = 0.0
     for j in range(a.shape[0]):
         pivot = a[j, j]
         for k in range(j):
             pivot -= low[j, k] * low[j, k] * low[k, k]
-        if not pivot > _SINGULAR * a[j, j]:
-            pivot = 0.0
-        else:
+        if pivot > _SINGULAR * a[j, j]:
             log_determinant += math.log(pivot)
+        else:
+            pivot = 0.0
         low[j, j] = pivot
         for i in range(j + 1, a.shape[0]):
             total = a[i, j]
@@ -44,7 +44,7 @@ def _factor(a: F8, low: F8) -> float:
 
 @njit(**INNER)
 def _solved(low: F8, b: F8) -> None:
-    """Put a⁻¹ b in the place of ``b`` (d, m); where a is singular the solution that is 0 there."""
+    """Replace ``b`` (d, m) by a⁻¹ b, with 0 in the components in which a is singular."""
     for c in range(b.shape[1]):
         for i in range(b.shape[0]):
             for k in range(i):
@@ -68,7 +68,7 @@ def _multiplied(a: F8, b: F8, out: F8) -> None:
 
 @njit(**INNER)
 def _add_turned(a: F8, b: F8, between: F8, out: F8) -> None:
-    """Add a b aᵀ to ``out``, both symmetric; ``between`` is room for a b."""
+    """Add a b aᵀ to ``out``, both symmetric; ``between`` is scratch for a b."""
     _multiplied(a, b, between)
     for i in range(a.shape[0]):
         for j in range(i + 1):
@@ -90,7 +90,7 @@ def predicted(covariance: F8, jacobian: F8, noise: F8) -> F8:
 
 @njit(**INNER)
 def _room(d: int, r: int) -> tuple[F8, F8, F8, F8, F8, F8, F8]:
-    """Room for what lies between a prediction and an update."""
+    """Scratch arrays of an update."""
     small = np.empty((2, r, r))
     wide = np.empty((2, d, r))
     square = np.empty((2, d, d))
@@ -101,8 +101,8 @@ def _room(d: int, r: int) -> tuple[F8, F8, F8, F8, F8, F8, F8]:
 def _update(
     mean: F8, covariance: F8, step: F8, noise: F8, rows: I8, room: tuple[F8, ...], out: F8
 ) -> None:
-    """Fill ``mean`` and ``out`` with the Gaussian given a measurement of these rows, ``step`` (r,)
-    from the prediction.
+    """Fill ``mean`` and ``out`` with the Gaussian given a measurement of these rows, whose
+    innovation is ``step`` (r,).
     """
     s, low, part, gain, narrow, left, between = room
     for i in range(len(rows)):
@@ -138,14 +138,14 @@ def updated(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F
 def smooth(
     now: tuple[F8, F8], ahead: tuple[F8, F8, F8, F8], later: tuple[F8, F8], onward: Bool
 ) -> None:
-    """Put the Gaussians given what the next frame says after all in place of filtered ones, the
-    last first, if ``onward``.
+    """Replace filtered Gaussians by those given the smoothed ones of the next frame, the last
+    first, if ``onward``.
 
-    ``now`` and ``later`` are means and covariances, ``ahead`` the predictions' with the Jacobian
-    and noise they came of.
+    ``now`` and ``later`` (smoothed) are means and covariances, ``ahead`` those of the predictions
+    with their Jacobians and noises.
     """
     mean, covariance = now
-    expected, expected_covariance, jacobian, noise = ahead
+    predicted_mean, predicted_covariance, jacobian, noise = ahead
     d = mean.shape[1]
     low = np.empty((d, d))
     part = np.empty((d, d))
@@ -157,29 +157,30 @@ def smooth(
     for n in range(len(mean) - 1, -1, -1):
         if not onward[n]:
             continue
-        _factor(expected_covariance[n], low)
+        _factor(predicted_covariance[n], low)
         _multiplied(jacobian[n], covariance[n], part)
         _solved(low, part)
         for i in range(d):
             for j in range(d):
                 gain[i, j] = part[j, i]
-                mean[n, i] += part[j, i] * (later[0][n, j] - expected[n, j])
+                mean[n, i] += part[j, i] * (later[0][n, j] - predicted_mean[n, j])
                 added[i, j] = noise[n, i, j] + later[1][n, i, j]
                 before[i, j] = covariance[n, i, j]
         _multiplied(gain, jacobian[n], between)
         for i in range(d):
             for j in range(d):
-                left[i, j] = (1.0 if i == j else 0.0) - between[i, j]
+                left[i, j] = 0.0 - between[i, j]
+            left[i, i] += 1.0
         covariance[n] = 0.0
         _add_turned(left, before, between, covariance[n])
         _add_turned(gain, added, between, covariance[n])
 
 
 @njit(**INNER)
-def _log_density(step: F8, covariance: F8, noise: F8, rows: I8, first: int, room: F8) -> float:
-    """Log density, but for constants, at a distance ``step`` (r,) of the Gaussian with covariance H
-    P Hᵀ + R: of so many components of the measurement from the ``first`` on as ``room`` (3, n, n)
-    has."""
+def log_density(step: F8, covariance: F8, noise: F8, rows: I8, first: int, room: F8) -> float:
+    """Log density, without constants, of the innovation ``step`` (r,), whose covariance is H P Hᵀ +
+    R: of n components of the measurement from the ``first`` on, with scratch ``room`` (3, n, n).
+    """
     s = room[0]
     low = room[1]
     v = room[2, :, :1]
@@ -201,27 +202,26 @@ def filtered(
     now: tuple[F8, F8],
     ahead: tuple[F8, F8, F8],
     kept: tuple[F8, F8, F8, F8],
-    seen: tuple[F8, F8, I8],
+    measured: tuple[F8, F8, I8],
     scales: tuple[F8, F8],
     evidence: F8,
 ) -> None:
-    """Predict Gaussians of one frame for the next one and update them, each by the measurement that
-    it has there.
+    """Predict Gaussians of one frame for the next one and update each with its measurement there.
 
-    ``at`` (n, 4): where each stands in ``now`` (means and covariances), and where in the next
-    frame, its path, the column of its measurement, −1 for none. ``ahead``: where the motion takes
-    them: means, Jacobians, noises. ``kept``: predictions, Jacobians and noises, filled where they
-    are not empty. ``seen``: measurements as states (d, Z), covariances, and the rows that they
-    show. ``scales`` (K, d), (K, r): factors of each path's noises. ``evidence`` (2, K) grows.
+    ``at`` (n, 4): row of each in ``now`` (means and covariances), its row in the next frame, its
+    path, the column of its measurement, −1 for none. ``ahead``: means, Jacobians and noises of the
+    motion. ``kept``: predictions, Jacobians and noises, filled if they are not empty.
+    ``measured``: measurements as states (d, Z), covariances, and the rows that they show.
+    ``scales`` (K, d), (K, r): factors of each path's noises. Adds to ``evidence`` (2, K).
     """
     mean, covariance = now
     moved, jacobian, noise = ahead
-    state, spread, rows = seen
+    state, spread, rows = measured
     d = mean.shape[1]
     r = len(rows)
     added = np.empty((d, d))
     between = np.empty((d, d))
-    expected = np.empty((d, d))
+    prediction = np.empty((d, d))
     own = np.empty((r, r))
     step = np.empty(r)
     # The first two components of a measurement, and the others.
@@ -237,16 +237,16 @@ def filtered(
         for i in range(d):
             for j in range(d):
                 added[i, j] = noise[n, i, j] * scales[0][path, i] * scales[0][path, j]
-        expected[:] = added
-        _add_turned(jacobian[n], covariance[before], between, expected)
+        prediction[:] = added
+        _add_turned(jacobian[n], covariance[before], between, prediction)
         mean[here] = moved[n]
         if len(kept[0]):
             kept[0][here] = moved[n]
-            kept[1][here] = expected
+            kept[1][here] = prediction
             kept[2][here] = jacobian[n]
             kept[3][here] = added
         if column < 0:
-            covariance[here] = expected
+            covariance[here] = prediction
             continue
         for i in range(r):
             step[i] = state[rows[i], column] - moved[n, rows[i]]
@@ -254,6 +254,6 @@ def filtered(
                 own[i, j] = (
                     spread[column, rows[i], rows[j]] * scales[1][path, i] * scales[1][path, j]
                 )
-        evidence[0, path] += _log_density(step, expected, own, rows, 0, place)
-        evidence[1, path] += _log_density(step, expected, own, rows, half, size)
-        _update(mean[here], expected, step, own, rows, room, covariance[here])
+        evidence[0, path] += log_density(step, prediction, own, rows, 0, place)
+        evidence[1, path] += log_density(step, prediction, own, rows, half, size)
+        _update(mean[here], prediction, step, own, rows, room, covariance[here])

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import Checked
-from phdtrack.kernels.common_motion import LEAST, differences, found
+from phdtrack.kernels.common_motion import LEAST, differences, frame_motion
 from phdtrack.models import warp as warp_of
 from phdtrack.models.gaussian import moved
 from phdtrack.protocols import CameraEstimator, Model
@@ -127,9 +127,11 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
     ) -> tuple[CameraState, F8]:
         """The camera's motion since the last frame, and the state with what was learned from it."""
         fading = math.exp(-dt / (model.rate * VELOCITY_MEMORY))
-        bases = [self._warp(self._of_note(fading * dt * state.velocity))]
+        bases = [similarity(self._of_note(fading * dt * state.velocity), self._frame)]
         if len(given):
-            bases.append(_after(self._warp(self._of_note(-fading * dt * state.left)), given))
+            bases.append(
+                _after(similarity(self._of_note(-fading * dt * state.left), self._frame), given)
+            )
         z = model.sensor.measure(detections if detections.observed else Detections.empty())
         if not z.shape[1] or not len(state.mean):
             warp = bases[-1 if state.followed else 0]
@@ -202,8 +204,10 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         density = z.shape[1] / (4 * frame[0] * frame[1])
         kept = math.exp(-1 / MEMORY)
         rule = (detected, density, frame, dt, JUMP_PENALTY, LEAST_SHARE, kept)
-        motion, *said = found(boxes, rule, which == 0, state.excess[which], state.weight[which])
-        return _Found(_after(self._warp(motion), model.warp), *said)
+        motion, *said = frame_motion(
+            boxes, rule, which == 0, state.excess[which], state.weight[which]
+        )
+        return _Found(_after(similarity(motion, self._frame), model.warp), *said)
 
     def _moved(
         self, state: CameraState, warp: F8, given: F8, dt: float, fading: float
@@ -211,11 +215,11 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         """The state after the camera moved by ``warp`` in the interval, and ``given`` was said of
         it.
         """
-        velocity = self._motion(warp) / dt
+        velocity = motion_of(warp, self._frame) / dt
         if state.followed or not len(given):
             left = fading * state.left
         else:
-            left = self._motion(given) / dt - velocity
+            left = motion_of(given, self._frame) / dt - velocity
         s = state
         return CameraState(
             s.mean,
@@ -240,33 +244,41 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         width, height = self.frame_size
         return np.array([width / 2, height / 2, width / 2])
 
-    def _warp(self, motion: F8) -> F8:
-        """(3, 3) the similarity with this shift, zoom and turn (4,) about the middle of the image;
-        of none `types.STILL`.
-        """
-        if not motion.any():
-            return STILL
-        x, y, half = self._frame
-        zoom = math.exp(min(max(motion[2] / half, -_ZOOM), _ZOOM))
-        turn = motion[3] / half
-        c = zoom * math.cos(turn)
-        s = zoom * math.sin(turn)
-        return np.array(
-            [
-                [c, -s, x + motion[0] - c * x + s * y],
-                [s, c, y + motion[1] - s * x - c * y],
-                [0.0, 0.0, 1.0],
-            ]
-        )
 
-    def _motion(self, warp: F8) -> F8:
-        """(4,) shift, zoom and turn of what is in the middle of the image."""
-        if not len(warp):
-            return np.zeros(4)
-        x, y, half = self._frame
-        there, down, right, sideways, size = warp_of.warp_states(
-            np.array([[x, y, 1.0, 0.0, 1.0]]).T, warp
-        )[:, 0]
-        return np.array(
-            [there - x, down - y, half * math.log(size), half * math.atan2(sideways, right)]
-        )
+def similarity(motion: F8, frame: F8) -> F8:
+    """(3, 3) the similarity with this shift, zoom and turn (4,) about the middle of the image.
+
+    `types.STILL` for no motion.
+
+    Parameters
+    ----------
+    motion : (4,) pixels.
+    frame : (3,) the middle of the image and half of its width, pixels.
+    """
+    if not motion.any():
+        return STILL
+    x, y, half = frame
+    zoom = math.exp(min(max(motion[2] / half, -_ZOOM), _ZOOM))
+    turn = motion[3] / half
+    c = zoom * math.cos(turn)
+    s = zoom * math.sin(turn)
+    return np.array(
+        [
+            [c, -s, x + motion[0] - c * x + s * y],
+            [s, c, y + motion[1] - s * x - c * y],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def motion_of(warp: F8, frame: F8) -> F8:
+    """(4,) shift, zoom and turn of what is in the middle of the image, pixels; see `similarity`."""
+    if not len(warp):
+        return np.zeros(4)
+    x, y, half = frame
+    there, down, right, sideways, size = warp_of.warp_states(
+        np.array([[x, y, 1.0, 0.0, 1.0]]).T, warp
+    )[:, 0]
+    return np.array(
+        [there - x, down - y, half * math.log(size), half * math.atan2(sideways, right)]
+    )
