@@ -83,7 +83,7 @@ def test_the_number_of_newborn_follows_what_is_predicted(rng):
     )
 
 
-def test_newborn_lie_in_the_region_with_positive_sizes_and_any_direction(rng):
+def test_newborn_lie_in_the_region_with_positive_sizes(rng):
     z = columns(ALONE)
     sensor = BoxSensor()
     born = MeasurementBirth(0.01, particles=4000, frame_size=FRAME).sample(
@@ -148,7 +148,7 @@ def test_uniform_clutter_integrates_to_its_rate():
     assert UniformClutter(2.5, volume).intensity(np.zeros((4, 0))).shape == (0,)
 
 
-def test_local_clutter_integrates_to_its_rate_over_each_neighbourhood(rng):
+def test_local_clutter_integrates_to_its_rate(rng):
     """±1 box in position, half to one and a half in size: the volume, by counting hits in a larger
     box.
     """

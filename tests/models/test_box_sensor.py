@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
 from composed import gaussian_view
 from phdtrack.errors import InputError
@@ -82,6 +82,11 @@ def test_states_at_rest_and_what_one_detection_tells(scaling: str, rng):
     assert sensor.boxes(x).shape == (6, 4)
 
 
+def gate_of(sensor: BoxSensor) -> float:
+    """Half the width of the gate in deviations."""
+    return math.sqrt(chi2.ppf(sensor.gate_probability, 4))
+
+
 def gated_out(sensor: BoxSensor, z, x) -> np.ndarray:
     lower, upper = sensor.gate(z)
     return np.any((x[:2] < lower) | (x[:2] > upper), axis=0)
@@ -100,7 +105,7 @@ def test_no_pair_within_the_gate_is_dropped(scaling: str, spread: float, floor: 
     # On the rim of the ball, where it bulges most: mostly in x and w, sometimes anywhere.
     direction[[1, 3], :20_000] *= 0.01
     direction[0, :20_000] *= rng.uniform(0.2, 5, 20_000)
-    direction *= sensor._gate / np.linalg.norm(direction, axis=0) * rng.uniform(0.9, 1.0, 30_000)
+    direction *= gate_of(sensor) / np.linalg.norm(direction, axis=0) * rng.uniform(0.9, 1.0, 30_000)
     if scaling == "detection":
         # σ is the detection's: go from z to x.
         z = x[ROWS].copy()
@@ -111,14 +116,14 @@ def test_no_pair_within_the_gate_is_dropped(scaling: str, spread: float, floor: 
         x[ROWS] -= direction * np.sqrt(z[4:])
     else:
         z = x[ROWS] + direction * sensor.noise(x)[ROWS]
-    assert gaussian_view(sensor, z, x)[0].max() <= sensor._gate**2 * (1 + 1e-9)
+    assert gaussian_view(sensor, z, x)[0].max() <= gate_of(sensor) ** 2 * (1 + 1e-9)
     assert not gated_out(sensor, z, x).any()
 
 
 def test_the_gate_around_a_particle_is_as_tight_as_it_can_be(rng):
     """At the worst pair of position and size, sin θ = G·s, the formula's edge is reached."""
     sensor = BoxSensor(box_noise=0.15, min_noise=0.0)
-    g = sensor._gate
+    g = gate_of(sensor)
     s = sensor.box_noise
     w = 40.0
     sine = g * s

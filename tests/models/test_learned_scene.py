@@ -166,7 +166,7 @@ def test_the_evidence_of_newborn_is_that_of_gamma():
     assert np.mean(found) == pytest.approx(0.99 * each.mean(), rel=0.02)
 
 
-def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detections():
+def test_gaussian_births_are_learned_ones_and_a_uniform_part():
     birth = SceneBirth(0.5, entrance(uniform=0.2))
     flat = MeasurementBirth(0.5 * 0.2, particles=1000, frame_size=SIZE)
     found, uniform = (one.gaussians(Z, SENSOR, 2.0) for one in (birth, flat))
@@ -219,7 +219,7 @@ def test_births_around_detections_reach_beyond_the_volume():
     assert (birth.gaussians(z, SENSOR, 1.0).around.density > 0).all()
 
 
-def test_their_particles_have_the_evidence_of_gamma_and_the_velocities_of_the_place():
+def test_newborn_particles_have_learned_mass_and_velocity():
     z = np.array([[115.0], [205], [40], [85]])
     birth = SceneBirth(0.01, entrance(), particles=1000, births_per_detection=0.05, among=square())
     wanted = birth.around(FIXED.states(z), 2.0)[0][0]
@@ -232,7 +232,7 @@ def test_their_particles_have_the_evidence_of_gamma_and_the_velocities_of_the_pl
 # In a whole model
 
 
-def test_a_scene_of_which_nothing_is_known_has_the_default_densities(rng):
+def test_unknown_scene_has_the_default_densities(rng):
     model = with_scene(MODEL, BLANK[0], LearnedDensity(1.5, ANY_BOX), BLANK[2], 300)
     z = boxes(rng, 60)
     np.testing.assert_allclose(

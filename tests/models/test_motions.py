@@ -95,7 +95,7 @@ def test_intervals_compose(motion, x, parts: tuple[float, ...]):
 
 
 @pytest.mark.parametrize("kind", [PlaneMotion, TurningMotion])
-def test_survival_is_a_power_of_the_interval_inside_and_zero_outside(kind):
+def test_survival_is_a_power_inside_and_zero_outside(kind):
     motion = kind(survival_probability=0.9, borders=(-5.0, 0.0, 5.0, 10.0))
     x = np.zeros((motion.dim, 4))
     x[:2] = [[-5.0, 5.1, 0, 0], [0.0, 3, 10.1, 10]]

@@ -40,7 +40,7 @@ def seen(x: np.ndarray, hiders: np.ndarray) -> np.ndarray:
     sensor = BoxSensor()
     boxes, others = sensor.boxes(x), sensor.boxes(hiders)
     those = Hiders(others, -others[:, 3], hiders[ROWS], sensor.noise(hiders)[ROWS], 13.28, 0.2)
-    return those.seen_part(x[ROWS], boxes, -boxes[:, 3])
+    return those.visible_part(x[ROWS], boxes, -boxes[:, 3])
 
 
 def standing(*places) -> np.ndarray:
@@ -49,14 +49,17 @@ def standing(*places) -> np.ndarray:
     return np.stack([x, y, 0 * x, 0 * x])
 
 
-def test_a_share_of_the_box_is_hidden_and_no_more_than_all_but_the_least():
+def test_hidden_share_leaves_the_least_detection_probability():
     """A target of 40 by 100 behind others that cover a quarter, half and all of it, and one that
     reaches above it.
     """
     x = of_boxes([100, 200, 140, 300])
     for hider, part in (
-        ([130, 100, 190, 400], 0.25), ([60, 250, 240, 400], 0.5), ([50, 100, 300, 420], 1.0), ([50, 100, 300, 299], 0.0),
-    ):  # fmt: skip
+        ([130, 100, 190, 400], 0.25),
+        ([60, 250, 240, 400], 0.5),
+        ([50, 100, 300, 420], 1.0),
+        ([50, 100, 300, 299], 0.0),
+    ):
         np.testing.assert_allclose(seen(x, of_boxes(hider)), max(1 - part**1.5, 0.2))
     several = of_boxes([130, 100, 190, 400], [60, 250, 240, 400], *CLEAR)
     np.testing.assert_allclose(seen(x, several), 1 - 0.5**1.5)
@@ -69,7 +72,7 @@ def test_a_target_does_not_hide_itself():
     assert seen(of_boxes([100, 200, 140, 300]), another)[0] < 0.7
 
 
-def test_particles_of_a_target_are_hidden_by_another_and_not_by_their_own_peak(rng):
+def test_particles_are_hidden_by_others_not_by_their_own_peak(rng):
     """Ninety-nine of a hundred particles spread by the noise about their target are within its
     region.
     """

@@ -75,7 +75,7 @@ def test_a_camera_without_heights_gives_boxes_by_its_scale(rng):
     np.testing.assert_allclose(without, with_heights, rtol=1e-9)
 
 
-def test_who_is_behind_the_camera_is_far_outside_and_not_detected():
+def test_person_behind_the_camera_is_not_detected():
     sensor = PlaneSensor(camera=CAMERA, frame_size=FRAME)
     x = np.array([[0.0, 0], [-3, 20], [0, 0], [0, 0]])
     assert np.isfinite(sensor.boxes(x)).all()

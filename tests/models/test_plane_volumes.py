@@ -42,8 +42,10 @@ def believed_after(depth: float) -> int:
     sensor = PlaneSensor(camera=LevelCamera(), frame_size=FRAME)
     world = Stages(
         Model(PlaneMotion(), sensor, PlaneBirth(), PlaneClutter(0.3), rate=1.0, first=0.1),
-        GMPHD(), Components(), GraphMatching(gap_cost=1.609),
-    )  # fmt: skip
+        GMPHD(),
+        Components(),
+        GraphMatching(gap_cost=1.609),
+    )
     box = Detections.of(sensor.boxes(np.array([[0.0], [depth], [0], [0]])))
     rng = np.random.default_rng(0)
     state = pipeline.start(world, rng)
@@ -54,5 +56,5 @@ def believed_after(depth: float) -> int:
     return 99
 
 
-def test_how_fast_somebody_is_believed_does_not_depend_on_how_far_away_he_is():
+def test_confirmation_does_not_depend_on_distance():
     assert {believed_after(depth) for depth in (9.0, 20.0, 40.0)} <= {2, 3}

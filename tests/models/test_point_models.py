@@ -17,7 +17,7 @@ from phdtrack.types import Detections, SequenceInfo
 INFO = SequenceInfo(384, 288, 25.0)
 
 
-def test_the_measurement_is_the_centroid_and_further_rows_are_not_compared():
+def test_measurement_is_the_centroid_without_further_rows():
     sensor = PointSensor(noise_variance=2.0, size=(8.0, 12.0))
     z = sensor.measure(Detections.of([[10.0, 20, 20, 60]]))
     np.testing.assert_array_equal(z, [[15.0], [40.0]])
@@ -82,8 +82,10 @@ def test_every_filter_can_do_with_points(filter_name: str, rng):
     """
     stages = config.build(config.load(sets=["motion.kind=point"]), INFO, filter_name)
     assert (type(stages.model.motion), type(stages.model.sensor), type(stages.model.birth)) == (
-        PointMotion, PointSensor, PointBirth,
-    )  # fmt: skip
+        PointMotion,
+        PointSensor,
+        PointBirth,
+    )
     np.testing.assert_allclose(stages.model.clutter.intensity(np.zeros((2, 1))), 1.0 / (384 * 288))
     state = stages.filter.start(stages.model, rng)
     for k in range(15):

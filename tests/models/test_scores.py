@@ -50,9 +50,12 @@ def after(rule: DetectionScores, *scores: np.ndarray) -> ScoresSeen:
 
 @settings(deadline=None)
 @given(
-    score=st.lists(st.floats(0, 1), min_size=2, max_size=20), scale=st.floats(1, 50), slope=st.floats(0.1, 5),
-    even=st.floats(0.05, 0.95), most=st.floats(1, 1e4),
-)  # fmt: skip
+    score=st.lists(st.floats(0, 1), min_size=2, max_size=20),
+    scale=st.floats(1, 50),
+    slope=st.floats(0.1, 5),
+    even=st.floats(0.05, 0.95),
+    most=st.floats(1, 1e4),
+)
 def test_odds_rise_with_the_score_within_their_limits(
     score, scale: float, slope: float, even: float, most: float
 ):
@@ -68,7 +71,7 @@ def test_odds_rise_with_the_score_within_their_limits(
     assert odds[0] == pytest.approx(0, abs=1e-9)
 
 
-def test_a_score_between_0_and_1_is_a_probability_on_the_first_frame():
+def test_first_scores_between_0_and_1_are_probabilities():
     """That of 0.8 are 4 to 1, over those of the score that says nothing; 0 and 1 are at the
     limits.
     """

@@ -47,7 +47,7 @@ def test_two_motions_are_one_after_the_other(rng):
     np.testing.assert_array_equal(warp_of.after([]), np.eye(3))
 
 
-def test_velocity_is_that_of_the_moving_point_and_size_that_of_areas(rng):
+def test_velocity_warps_like_points_and_size_like_areas(rng):
     """By moving the point on, and by the area of a small square about it."""
     x = some(rng)
     h = 1e-4
@@ -98,11 +98,33 @@ def test_scale_and_form_of_a_given_matrix_do_not_matter():
     )
 
 
-@pytest.mark.parametrize("matrix", [
-    np.eye(4), [[1, 0], [0, 1]], [1, 2, 3], "pan", [[1, 0, 0], [0, 1, 0], [0, 0, 0]],
-    [[1, 0, np.nan], [0, 1, 0], [0, 0, 1]], [[-1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0.001, 0, 0], [0, 0.001, 0], [0, 0, 1]],
-    [[1, 1e19, 3], [1e308, 1, 4], [0, 0, 1]], [[1, 0, 3], [0, 1, 4], [0, 0, 5e-324]],
-], ids=["4 x 4", "2 x 2", "numbers", "text", "corner 0", "nan", "mirror", "small", "large", "corner tiny"])  # fmt: skip
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        np.eye(4),
+        [[1, 0], [0, 1]],
+        [1, 2, 3],
+        "pan",
+        [[1, 0, 0], [0, 1, 0], [0, 0, 0]],
+        [[1, 0, np.nan], [0, 1, 0], [0, 0, 1]],
+        [[-1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        [[0.001, 0, 0], [0, 0.001, 0], [0, 0, 1]],
+        [[1, 1e19, 3], [1e308, 1, 4], [0, 0, 1]],
+        [[1, 0, 3], [0, 1, 4], [0, 0, 5e-324]],
+    ],
+    ids=[
+        "4 x 4",
+        "2 x 2",
+        "numbers",
+        "text",
+        "corner 0",
+        "nan",
+        "mirror",
+        "small",
+        "large",
+        "corner tiny",
+    ],
+)
 def test_what_is_no_motion_of_a_camera_is_refused(matrix):
     with pytest.raises(InputError, match=r"^frame 7: expected"):
         warp_of.as_warp(matrix, "frame 7")

@@ -1,8 +1,8 @@
-"""γ(x): new targets, and the ways to draw them.
+"""Birth models: γ(x), the intensity of new targets, and ways to sample it.
 
-`MeasurementBirth`, `PlaneBirth` and `PointBirth` draw around the detections that nothing predicted
-accounts for [M07 §2], in the image, on the ground and of points; `UniformBirth` anywhere [D14 Alg.
-2]; `FixedBirth` from given Gaussians [E13 §4]. Rates are expected births per second.
+`MeasurementBirth`, `PlaneBirth` and `PointBirth` draw around detections that no predicted target
+explains [M07 §2], of boxes in the image, on the ground and of points; `UniformBirth` draws anywhere
+[D14 Alg. 2]; `FixedBirth` from fixed Gaussians [E13 §4]. Rates are expected births per second.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from phdtrack.types import F8, GaussianMixture, Particles
 # ratio of a flat γ to the proposal grows like exp(r²/2) and its variance is infinite: that mass is
 # dropped.
 KEPT = 0.99
-# So many more points are drawn than one detection needs, so that detections have different ones.
+# Points that are drawn beyond those that one detection needs, so that detections use different
+# ones.
 SPARE = 128
-# Particles that are born in a frame at most: each detection has fewer where there are very many.
+# Largest number of particles born in a frame: with very many detections each has fewer.
 MOST_BORN = 300_000
-# Expected births at most: after a long gap what else is computed with them would be as many
-# numbers.
+# Largest number of expected births: after a long gap arrays would become as long.
 MOST_EXPECTED = 3000.0
 
 
 def particles_about(
     covered: F8,
-    seen: tuple[F8, F8],
+    measured: tuple[F8, F8],
     rows: tuple[int, ...],
     particles: int,
     gamma: F8,
@@ -56,23 +56,23 @@ def particles_about(
     """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i
     p_i(x) [M07 §2].
 
-    They are in blocks, one for each measurement that has any. What that shows is drawn from the
-    observation noise inside its 99 % region (the mass of γ outside all these regions is dropped),
-    the velocity about its mean with uniform direction and Gaussian amplitude. γ uses the same law
-    of velocities, which therefore cancels in the weight.
+    They are in blocks, one for each measurement that has any. The observed components are drawn
+    from the observation noise inside its 99 % region (the mass of γ outside all these regions is
+    dropped), the velocity about its mean with uniform direction and Gaussian amplitude. γ uses the
+    same law of velocities, which therefore cancels in the weight.
 
     Parameters
     ----------
     covered : array (N,), M_j, the mass predicted at each measurement.
-    seen : the states (d, N) and covariances (N, d, d) that the measurements show, as
-        `Sensor.states` gives them.
+    measured : the states (d, N) and covariances (N, d, d) that the measurements imply, from
+        `Sensor.states`.
     rows : `Sensor.observed`.
     particles : Jmax.
     gamma : (N,) density of births, the same in the whole region of a measurement; 0 at boxes
         without extent.
     rng : random numbers.
     """
-    mean, cov = seen
+    mean, cov = measured
     observed = list(rows)
     particles = min(particles, MOST_BORN // max(len(covered), 1) + 1)
     counts = np.ceil(particles * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
@@ -84,7 +84,7 @@ def particles_about(
     begin = (SPARE * rng.random(len(counts))).astype(np.int64)
     np.cumsum(counts, out=first[1:])
     many = int(counts.max()) + SPARE
-    # Boxes in the precision of their filter: there are many.
+    # Boxes have the precision of their filter, because there are many.
     dtype: np.dtype[Any] = np.dtype(np.float32 if len(observed) == 4 else np.float64)
     normal = rng.standard_normal((len(observed) + 1, many), dtype=dtype.type)
     points = standard_points(normal, rng.random(many + 1), _radii(len(observed)))
@@ -92,40 +92,45 @@ def particles_about(
     density = reused((int(first[-1]),), dtype)
     place_newborn(about, points, begin, first, limit, state, density)
     weight = np.divide(np.repeat(gamma.astype(dtype), np.diff(first)), density, out=density)
-    # Of a small box the noise's region reaches sizes below 0, where nothing is born.
+    # The region of a small box reaches sizes below 0, where nothing is born.
     if not (weight.min() > 0 and state[4:].min(initial=1) > 0):
         possible = (weight > 0) & (state[4:] > 0).all(axis=0)
         first = np.concatenate([[0], np.cumsum(possible)])[first]
         state = state[:, possible]
         weight = weight[possible]
     start = np.unique(first)
-    if len(weight) and (mass := np.add.reduceat(weight, start[:-1])).max() > 1:
+    if len(weight):
         # A detection is of one target at most.
-        weight = weight / np.repeat(np.maximum(mass, 1), np.diff(start)).astype(dtype)
+        mass = np.add.reduceat(weight, start[:-1])
+        if mass.max() > 1:
+            weight = weight / np.repeat(np.maximum(mass, 1), np.diff(start)).astype(dtype)
     return Particles(state, weight, start)
 
 
 def births_around(
-    seen: tuple[F8, F8], density: F8, given: GaussianMixture | None = None, seconds: float = 1.0
+    measured: tuple[F8, F8],
+    density: F8,
+    fixed: GaussianMixture | None = None,
+    seconds: float = 1.0,
 ) -> Births:
-    """γT around detections, and the Gaussians of a mixture.
+    """γT around detections, and fixed Gaussians.
 
     Parameters
     ----------
-    seen : the states (d, N) and covariances (N, d, d) that the detections alone show, as
-        `Sensor.states` gives them.
+    measured : the states (d, N) and covariances (N, d, d) that the detections alone imply, from
+        `Sensor.states`.
     density : array (N,), γT at the detections, per unit of measurement volume.
-    given : Gaussians whose weights are births per second; None for none.
-    seconds : T, the interval of the given Gaussians.
+    fixed : Gaussians whose weights are births per second; None for none.
+    seconds : T, the interval of the fixed Gaussians.
     """
-    mean, covariance = seen
-    d = len(seen[0])
+    mean, covariance = measured
+    d = len(mean)
     around = NewTargets(density, np.ascontiguousarray(mean.T), covariance)
-    if given is None:
+    if fixed is None:
         return Births(around, np.zeros(0), np.zeros((0, d)), np.zeros((0, d, d)))
-    given_mean = np.ascontiguousarray(given.mean.T)
-    given_covariance = np.ascontiguousarray(given.covariance)
-    return Births(around, given.weight * seconds, given_mean, given_covariance)
+    fixed_mean = np.ascontiguousarray(fixed.mean.T)
+    fixed_covariance = np.ascontiguousarray(fixed.covariance)
+    return Births(around, fixed.weight * seconds, fixed_mean, fixed_covariance)
 
 
 @lru_cache(maxsize=8)
@@ -163,7 +168,7 @@ class _AroundDetections(abc.ABC):
     def sample(
         self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator
     ) -> Particles:
-        """Particles around the detections that weigh what γT is there [M07 §2], see
+        """Particles around the detections with the mass of γT there [M07 §2], see
         `particles_about`.
         """
         return particles_about(
@@ -187,15 +192,14 @@ class _AroundDetections(abc.ABC):
 
 @dataclass(frozen=True, slots=True)
 class MeasurementBirth(_AroundDetections):
-    """γ of boxes, uniform over the image or the same at every scale, drawn around the detections
-    [M07 §2].
+    """γ of boxes, uniform over the image or scale-invariant, drawn around the detections [M07 §2].
 
     Parameters
     ----------
     births_per_second : expected births per second, uniform over the image.
     births_per_detection : expected births per second in the neighbourhood of a box (see
         `models.volumes`), if ``births_per_second`` is 0.
-    particles : Jmax, particles drawn around a detection of which nothing is predicted.
+    particles : Jmax, particles drawn around a detection without predicted mass.
     frame_size : the image's width and height in pixels, needed for births uniform over it.
     volume : of positions and sizes over which births are uniform, pixel⁴; 0: all of the frame's.
     """
@@ -221,7 +225,7 @@ class PointBirth(_AroundDetections):
     Parameters
     ----------
     births_per_second : expected births per second.
-    particles : Jmax, particles drawn around a detection of which nothing is predicted.
+    particles : Jmax, particles drawn around a detection without predicted mass.
     frame_size : the image's width and height in pixels.
     """
 
@@ -240,15 +244,14 @@ class PointBirth(_AroundDetections):
 
 @dataclass(frozen=True, slots=True)
 class PlaneBirth(_AroundDetections):
-    """γ on the ground, uniform over a region or the same at every scale, drawn around the
-    detections.
+    """γ on the ground, uniform over a region or scale-invariant, drawn around the detections.
 
     Parameters
     ----------
     births_per_second : expected births per second, uniform over the region.
     births_per_detection : expected births per second in the ellipse of a detection's noise (see
         `models.volumes`), if ``births_per_second`` is 0.
-    particles : Jmax, particles drawn around a detection of which nothing is predicted.
+    particles : Jmax, particles drawn around a detection without predicted mass.
     borders : left, low, right and high border of the region in metres, needed for births uniform
         over it.
     """
@@ -284,8 +287,8 @@ class UniformBirth(Checked):
     def sample(
         self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator
     ) -> Particles:
-        """Particles of equal mass anywhere, whatever was measured; velocities of uniform direction,
-        Gaussian amplitude.
+        """Particles of equal mass anywhere, independent of measurements; velocities have uniform
+        direction and Gaussian amplitude.
         """
         state, cov = sensor.states(
             np.array(self.frame_size)[:, None] * rng.random((2, self.particles))
@@ -300,7 +303,7 @@ class UniformBirth(Checked):
         )
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """There are none. Raises `InputError` always."""
+        """Always raises `InputError`: there is no such mixture."""
         raise InputError(
             "births that are uniform over the image have no form as a Gaussian mixture",
             where="UniformBirth",
@@ -314,7 +317,7 @@ class UniformBirth(Checked):
 
 @dataclass(frozen=True, slots=True)
 class FixedBirth(Checked):
-    """γ a given mixture of Gaussians [E13 §4].
+    """γ, a fixed mixture of Gaussians [E13 §4].
 
     Parameters
     ----------
@@ -328,11 +331,13 @@ class FixedBirth(Checked):
     def sample(
         self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator
     ) -> Particles:
-        """Particles from each Gaussian, of total mass weight·seconds, whatever was measured."""
+        """Particles from each Gaussian, of total mass weight·seconds, independent of
+        measurements.
+        """
         return draw(self.places, self.particles, seconds, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """The given Gaussians, of total mass weight·seconds, whatever was measured [V06 (22)]."""
+        """The Gaussians, of total mass weight·seconds, independent of measurements [V06 (22)]."""
         return births_around(sensor.states(z), np.zeros(z.shape[1]), self.places, seconds)
 
     def expected(self, z: F8, seconds: float) -> float:

@@ -1,4 +1,4 @@
-"""Boxes in the image: how they move, and what a detector shows of them.
+"""Boxes in the image: motion and sensor.
 
 **Motion.** State x = (px, py, vx, vy, w, h): centre, velocity per time unit (a frame at 25 Hz in
 M07 and M09), width and height; constant velocity of the centre, random walk of the size. One
@@ -18,7 +18,7 @@ keeps it positive semidefinite with one noise an axis, as printed.
 
 **Sensor.** Measurement z = (px, py, w, h): centre and size of the detected box. The likelihood is
 Gaussian with diagonal covariance [M07 §2, M09 §III]; its deviations follow a size (w, h), whose
-choice has a name:
+name is ``scaling``:
 
     σ_w = max(s·w, floor)   σ_h = max(s·h, floor)   σ_px = σ_w/2   σ_py = σ_h/2
 
@@ -66,8 +66,8 @@ TINY = 1e-12
 
 @lru_cache(maxsize=8)
 def _box_noise(scaling: Scaling, share: float, floor: float, fixed: tuple[float, float]) -> Noise:
-    """`BoxNoise` as the kernels take it: made once, as a step of ten targets takes hardly longer
-    than making it.
+    """`BoxNoise` for the kernels; cached, because a step of ten targets takes hardly longer than
+    making it.
     """
     return _SCALINGS[scaling], share, floor, fixed[0] ** 2, fixed[1] ** 2
 
@@ -81,7 +81,7 @@ class BoxSensor(Checked):
     detection_probability : probability p_D that a target is detected in a frame.
     box_noise : s, deviation of the measured size as a fraction of the size.
     min_noise : smallest σ_w and σ_h, pixels; M09 has none (0).
-    scaling : what the deviations follow, see above.
+    scaling : the size that the deviations scale with, see above.
     fixed_noise : deviations of position and of size in pixels, for ``scaling="fixed"``.
     birth_speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time
         unit. No paper gives it; 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk for a
@@ -114,16 +114,16 @@ class BoxSensor(Checked):
         """(4, L) centre and size of the boxes."""
         return x[list(OBSERVED)]
 
-    def innovation(self, z: F8, seen: F8) -> F8:
-        """Their difference, row by row."""
-        return z[: len(seen)] - seen
+    def innovation(self, z: F8, predicted: F8) -> F8:
+        """The differences of measurements from predicted ones, row by row."""
+        return z[: len(predicted)] - predicted
 
     def measure(self, detections: Detections) -> F8:
-        """(4, N) centres and sizes; (8, N) with the variances below them where the scaling is
-        ``given``.
+        """(4, N) centres and sizes; (8, N) with variances below them if the scaling is ``given``.
 
-        The likelihood is diagonal: what a detection's covariance has beside its diagonal is not
-        used.
+        The likelihood is diagonal: only the diagonal of a detection's covariance is used. Raises
+        `InputError` if the scaling is ``given`` and there is no covariance, or a variance is not
+        above 0.
         """
         z = to_cxcywh(detections.xyxy)
         if self.scaling != "given":
@@ -147,7 +147,7 @@ class BoxSensor(Checked):
         return np.vstack([z, variance])
 
     def _deviations(self, z: F8) -> F8:
-        """(4, N) deviations of the components of z, by its own size where they are not given or
+        """(4, N) deviations of the components of z, by its own size unless they are given or
         fixed.
         """
         if self.scaling == "given":
@@ -168,13 +168,13 @@ class BoxSensor(Checked):
         return self.measurement_noise(np.ascontiguousarray(z))
 
     def target_noise(self, x: F8) -> F8:
-        """(L, 4, 4) R where it follows the target or is constant, else (0, 4, 4)."""
+        """(L, 4, 4) R if it scales with the target or is constant, else (0, 4, 4)."""
         if self.scaling in ("detection", "given"):
             return np.zeros((0, 4, 4))
         return np.asarray(box_covariances(x[4:6], self._numbers))
 
     def measurement_noise(self, z: F8) -> F8:
-        """(N, 4, 4) R where it follows the detection, else (0, 4, 4)."""
+        """(N, 4, 4) R if it scales with the detection, else (0, 4, 4)."""
         if self.scaling == "given":
             return np.maximum(z[4:8], TINY).T[:, :, None] * np.eye(4)
         if self.scaling != "detection":
@@ -200,13 +200,13 @@ class BoxSensor(Checked):
         return SensorNumbers(GivenSize(np.float32((2 * math.pi) ** -2)), table, detection)
 
     def watching(self, targets: F8) -> BoxSensor:
-        """Itself: in the image none hides another."""
+        """The sensor itself: in the image no target hides another."""
         return self
 
     def gate(self, z: F8) -> tuple[F8, F8]:
-        """Rectangles in the image that hold all states of which z is within the gate.
+        """Rectangles in the image that contain all states with z within their gates.
 
-        Where σ follows the state's own size w, the states within G deviations of z in position and
+        If σ scales with the state's own size w, the states within G deviations of z in position and
         in size reach max(sG/2 · w_z/√(1 − G²s²), G·floor/2) from it, for G·s < 1.
         """
         g = self._gate
@@ -218,30 +218,31 @@ class BoxSensor(Checked):
         return z[:2] - half, z[:2] + half
 
     def states(self, z: F8) -> tuple[F8, F8]:
-        """States at rest that would give z, with the covariance of what z alone tells.
+        """States at rest that z alone implies, and their covariances.
 
         The velocity of uniform direction and Gaussian amplitude a has variance a²/2 per axis.
         """
-        found: tuple[F8, F8] = states_of_boxes(np.ascontiguousarray(z), self._numbers, self._speed)
-        return found
+        states: tuple[F8, F8] = states_of_boxes(np.ascontiguousarray(z), self._numbers, self._speed)
+        return states
 
     @property
     def _numbers(self) -> Noise:
-        """The noise as the kernels of boxes take it."""
+        """The noise for the kernels of boxes."""
         return _box_noise(self.scaling, self.box_noise, self.min_noise, self.fixed_noise)
 
     @property
     def _speed(self) -> float:
-        """Deviation of an unknown velocity's components, in box sizes, or in pixels where the noise
-        is fixed.
+        """Deviation of an unknown velocity's components, in box sizes, or in pixels if the noise is
+        fixed.
         """
-        return (
-            self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed
-        ) / math.sqrt(2)
+        speed = self.birth_speed
+        if self.scaling == "fixed":
+            speed = self.birth_speed_pixels
+        return speed / math.sqrt(2)
 
     def noise(self, x: F8) -> F8:
-        """Deviations of the state's components: the measurement's of a box of this size, and an
-        unknown velocity's.
+        """Deviations by which the state's components are resolved: of a measured box of this size,
+        and of an unknown velocity.
         """
         return np.asarray(box_deviations(np.ascontiguousarray(x), self._numbers, self._speed))
 
@@ -261,7 +262,7 @@ class BoxMotion(Checked):
     Parameters
     ----------
     acceleration : standard deviation of the acceleration, in widths (x) and heights (y) per time
-        unit², or in pixels per time unit² where not ``scaled_noise``.
+        unit², or in pixels per time unit² without ``scaled_noise``.
     size_noise : standard deviation of the change of size, in widths and heights per √time unit, or
         in pixels.
     survival_probability : probability p_S that a target is still there after one second.
@@ -269,9 +270,9 @@ class BoxMotion(Checked):
     min_size : widths and heights are reflected at this many pixels: no particle takes w ≤ 0.
     frame_size : width and height of the image in pixels; a target whose box has left it does not
         survive. (0, 0): no such border.
-    roughening : what is added to the acceleration of particles, and to theirs alone, as its
-        deviation: few particles that move by little noise soon come from one ancestor, which need
-        not have had the right velocity [G93].
+    roughening : deviation that is added to the acceleration of particles alone: few particles that
+        move with little noise soon have one common ancestor, which may have had a wrong velocity
+        [G93].
     """
 
     acceleration: NonNegative = 0.005
@@ -284,7 +285,7 @@ class BoxMotion(Checked):
     dim: ClassVar[int] = 6
 
     def p_survive(self, x: F8, seconds: float) -> F8:
-        """p_S^seconds inside the image, 0 where the whole box has left it."""
+        """p_S^seconds inside the image, 0 if the whole box has left it."""
         half = 0.5 * x[4:6]
         size = np.array(self.frame_size)[:, None]
         inside = ((x[:2] > -half) & (x[:2] < size + half)).all(axis=0) | (size.min() <= 0)
@@ -296,27 +297,30 @@ class BoxMotion(Checked):
         """
         root = math.sqrt(dt)
         width, height = self.frame_size
-        drawn = math.hypot(self.acceleration, self.roughening)
+        deviation = math.hypot(self.acceleration, self.roughening)
+        rest = 0.0
         if dt > 1:
-            rest = drawn * math.sqrt((dt**3 - dt) / 12)
-        else:
-            rest = 0.0
+            rest = deviation * math.sqrt((dt**3 - dt) / 12)
         framed = width > 0 and height > 0
-        return BoxWalk(*(
-            np.float32(value)
-            for value in (
-                dt, drawn * root, self.size_noise * root, rest, self.min_size, self.scaled_noise,
-                self.survival_probability**seconds, width * framed, height * framed,
-            )
-        ))  # fmt: skip
+        numbers = (
+            dt,
+            deviation * root,
+            self.size_noise * root,
+            rest,
+            self.min_size,
+            self.scaled_noise,
+            self.survival_probability**seconds,
+            width * framed,
+            height * framed,
+        )
+        return BoxWalk(*map(np.float32, numbers))
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over the interval ``dt`` [M09 (11)]."""
         along = self.dynamics(dt, 0.0)
-        # Noises by planes, as the kernels that predict many states read them.
+        # Noises by planes, which is how the kernels that predict many states read them.
         mean, f, noise = moved_boxes(np.ascontiguousarray(x), *map(float, along[:6]), along.scaled)
-        # One Jacobian for all, as np.broadcast_to would give it in more time than the rest takes
-        # for a few states.
+        # One Jacobian for all: np.broadcast_to would take longer than the rest for a few states.
         return (
             mean,
             np.ndarray((x.shape[1], *f.shape), np.float64, f, 0, (0, *f.strides)),
@@ -324,15 +328,20 @@ class BoxMotion(Checked):
         )
 
     def dynamics(self, dt: float, seconds: float) -> BoxDynamics:
-        """The motion over an interval of ``dt`` time units, as the kernels of boxes take it [M09
-        (11)].
-        """
+        """The motion over an interval of ``dt`` time units, for the kernels of boxes [M09 (11)]."""
         dt = float(dt)
-        pushed = self.acceleration**2
+        a2 = self.acceleration**2
         return BoxDynamics(
-            dt, pushed * (dt**3 / 3 - min(dt, dt**3) / 12), pushed * dt**2 / 2, pushed * dt, self.size_noise**2 * dt,
-            self.min_size, self.scaled_noise, self.survival_probability**seconds, *self.frame_size,
-        )  # fmt: skip
+            dt,
+            a2 * (dt**3 / 3 - min(dt, dt**3) / 12),
+            a2 * dt**2 / 2,
+            a2 * dt,
+            self.size_noise**2 * dt,
+            self.min_size,
+            self.scaled_noise,
+            self.survival_probability**seconds,
+            *self.frame_size,
+        )
 
     warp_states = staticmethod(warp.warp_states)
     warp_jacobian = staticmethod(warp.warp_jacobian)

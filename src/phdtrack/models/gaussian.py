@@ -1,13 +1,13 @@
-"""What a model answers to the Gaussian filters about one frame: the records of `kernels.gaussian`.
+"""The model's records of one frame for the Gaussian filters (`kernels.gaussian`).
 
-Where f or h bends within a Gaussian's width, Gaussians go through it by sigma points; else by
-Jacobians.
+Gaussians are transformed by Jacobians, or by sigma points if f or h is nonlinear within a
+Gaussian's width.
 
-``linear``: f's Jacobian F at the mean, and H as a choice of rows, `Sensor.observed`, which only a
-linear sensor has; the filters read them out of mean and covariance [V06 (24)–(29), (35)–(38)].
+``linear``: f's Jacobian F at the mean, and H as a selection of rows, `Sensor.observed`, which only
+a linear sensor has; the filters select them from mean and covariance [V06 (24)–(29), (35)–(38)].
 
-``unscented`` [V06 §IV-B]: 2d + 1 points go through the function and are weighed, by the scaled
-transform with c = α²(d + κ)
+``unscented`` [V06 §IV-B]: 2d + 1 points are transformed and weighed, by the scaled transform with c
+= α²(d + κ)
 
     χ_0 = m,  χ_i = m ± (√(cP))_i,   W_i = 1/2c,  W_0 = 1 − d/c,   in covariances W_0 + 1 − α² + β
 
@@ -19,11 +19,11 @@ e_i = f(χ_i) − f(m):
     predict   m' = f(m) + Σ e_i/4,   P' = Σ e_i e_iᵀ/4 + Q(m)
     update    ẑ = h(m) + Σ e_i/4,   H P Hᵀ → Σ e_i e_iᵀ/4,   P Hᵀ → Σ (χ_i − m) e_iᵀ/4
 
-For linear functions both are the same but for rounding. Differences of measurements are the
+For linear functions both are the same except for rounding. Differences of measurements are the
 sensor's (`Sensor.innovation`), so that angles are compared the short way round.
 
-The motion of boxes, which most users follow, is compiled (`kernels.box`); any other is asked by the
-methods of its protocol.
+The prediction of boxes, the usual case, is compiled (`kernels.box`); other motions are called by
+the methods of their protocol.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ Transform = Literal["linear", "unscented"]
 # c, and the weight of each point beside the centre.
 SCALE = 2.0
 WEIGHT = 0.25
+# No factors for the variances of acceleration.
 SAME = np.zeros(0)
 
 
@@ -108,9 +109,9 @@ def moved(
 
 
 def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> Expected:
-    """What Gaussians say about measurements [V06 (36), §IV-B].
+    """Predicted measurements of Gaussians [V06 (36), §IV-B].
 
-    Raises `InputError` where the transform is ``linear`` and the sensor is not.
+    Raises `InputError` if the transform is ``linear`` and the sensor is not.
 
     Parameters
     ----------
@@ -149,7 +150,7 @@ def measurements(model: Model, z: F8) -> Measurements:
 
 @lru_cache(maxsize=8)
 def _periods(angles: tuple[bool, ...]) -> tuple[float, ...]:
-    """Of each component of a measurement: 2π of an angle, else 0."""
+    """The period of each component of a measurement: 2π for an angle, else 0."""
     return tuple(2 * math.pi if angle else 0.0 for angle in angles)
 
 
@@ -161,7 +162,7 @@ def row_numbers(observed: tuple[int, ...]) -> I8:
 
 def sigma_points(mean: F8, cov: F8) -> F8:
     """(d, 2d + 1, J) points of Gaussians (d, J), (J, d, d), the means first."""
-    # The symmetric root exists where a variance is 0, too.
+    # The symmetric root exists even if a variance is 0.
     value, vector = np.linalg.eigh(cov)
     root = (vector * np.sqrt(np.maximum(SCALE * value, 0.0))[:, None, :]) @ vector.transpose(
         0, 2, 1
@@ -183,18 +184,18 @@ def _product(a: F8, b: F8) -> F8:
 def new_targets(
     model: Model, births: Births, m: Measurements, gate: float, transform: Transform
 ) -> NewTargets:
-    """What targets say whose first detections the measurements are.
+    """Targets whose first detections are the measurements.
 
     Parameters
     ----------
     model, transform : as in `predicted`.
     births : intensity of targets that have not been detected before.
-    m, gate : the measurements, and in deviations of the innovation.
+    m, gate : the measurements; the gate in deviations of the innovation.
     """
     around = births.around
     p_detect = model.sensor.p_detect(np.ascontiguousarray(around.mean.T))
     if len(births.weight) == 0:
         return NewTargets(p_detect * around.density, around.mean, around.covariance)
-    given = expected(model.sensor, births.mean, births.covariance, transform)
-    out: NewTargets = first_states(births, p_detect, given, m, gate)
+    fixed = expected(model.sensor, births.mean, births.covariance, transform)
+    out: NewTargets = first_states(births, p_detect, fixed, m, gate)
     return out

@@ -1,35 +1,35 @@
-"""People on the ground: how they move, and what a detector shows of them.
+"""People on the ground: motion and sensor.
 
 **Motion.** State x = (px, py, vx, vy): metres and metres per second in the world's axes; the time
 unit is the second. Constant velocity, pushed by a white-noise acceleration (`models.positions`).
 
-**Sensor.** The foot of a person's box, led to the ground by the camera [E13 §3]: z = (X, Y, c_xx,
-c_xy, c_yy), the ground point that the middle of the box's lower edge shows, metres, and its own
+**Sensor.** The foot of a person's box, projected to the ground by the camera [E13 §3]: z = (X, Y,
+c_xx, c_xy, c_yy), the ground point of the middle of the box's lower edge, metres, and its own
 covariance, m². g(z|x) = N((X, Y); (px, py), R):
 
-``given``: R is the covariance that each detection brings, P_W = J C Jᵀ: C of the foot point in
-pixels, J the camera's metres per pixel there. Far away a pixel is metres, and the filter then
-knows. ``fixed``: the same for all; E13's R = 0.5 I m².
+``given``: R is the covariance of each detection, P_W = J C Jᵀ: C of the foot point in pixels, J the
+camera's metres per pixel there. Far away a pixel is metres, and R says so. ``fixed``: the same for
+all; E13's R = 0.5 I m².
 
-The detection probability is a constant or falls with what is to be seen of the person's box, at the
-nominal size:
+The detection probability is constant, or falls with the visible part of the person's box of nominal
+size:
 
     p_D(x) = p_D · visible(x) · max(1 − c(x)^1.5, least)
 
 ``visible`` is the part of the box inside the image (``view``), c the largest part that the box of
-one single nearer target covers (``occlusion``): a detector finds a person by the part that it sees,
-which E13's filter does not know [E13 §6]. The exponent was measured: of boxes that are covered to
-5, 22, 45, 65 and 87 %, detectors find .98, .86, .72, .50 and .18 of what they find of free ones.
+one single nearer target covers (``occlusion``): a detector finds a person by the visible part,
+which E13's filter ignores [E13 §6]. The exponent was measured: of boxes that are covered to 5, 22,
+45, 65 and 87 %, detectors find .98, .86, .72, .50 and .18 of what they find of free ones.
 
-The targets that hide are those that the last frame showed, where the motion expects them now, and
-not the boxes of this frame: a box does not say which target is seen. And if p_D fell for people
-whom this frame shows, the weight that remains of the undetected part would count them twice. A
-target does not hide itself: a state is that of the hider nearest to it, where that is within the 99
-% region of the sensor's noise, and all others may hide it. In a crowd many hiders lie within that
-region: were all of them taken for the state's own, hardly anybody would count as hidden.
+The targets that hide others are those of the last frame at their predicted positions, not the boxes
+of this frame: a box does not say which target it shows. And if p_D fell for people whom this frame
+shows, the remaining weight of the undetected part would count them twice. A target does not hide
+itself: a state belongs to the nearest hider, if that is within the 99 % region of the sensor's
+noise, and all others may hide it. In a crowd many hiders are within that region: if all of them
+counted as the state's own, hardly anybody would be hidden.
 
-Without a camera the image is a plan in metres: a box's middle is the position, and no target hides
-another.
+Without a camera the image is a plan in metres: the middle of a box is the position, and no target
+hides another.
 """
 
 from __future__ import annotations
@@ -73,11 +73,11 @@ class PlaneMotion(PositionMotion):
 Scatter = Literal["given", "fixed"]
 # Squared Mahalanobis radius of the 99 % region in two dimensions.
 OWN = 9.21
-# Where a state is drawn that no pixel shows: a box of one pixel, far outside of any image.
+# Box of a state that no pixel shows: of one pixel, far outside of any image.
 OUTSIDE = np.array([-1e4, -1e4, -1e4 + 1, -1e4 + 1])
-# From centre and size of a box to the middle of its lower edge.
+# Maps centre and size of a box to the middle of its lower edge.
 _FOOT = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0.5]])
-# From the covered part to the part of p_D that is lost.
+# Exponent that maps the covered part to the part of p_D that is lost.
 SHAPE = 1.5
 
 
@@ -89,25 +89,25 @@ class Hiders:
     ----------
     xyxy : (K, 4) boxes, pixels.
     depth : (K,) how far away each stands, in any unit that grows with distance.
-    place : (r, K) what a measurement would show of each.
-    noise : (r, K) deviations by which that is resolved there.
+    position : (r, K) their observed components.
+    noise : (r, K) deviations by which these are resolved there.
     region : squared distance in deviations within which a state is that of the nearest hider.
-    least : share of p_D that is left of a target that is covered altogether.
+    least : share of p_D that is left for a fully covered target.
     """
 
     xyxy: F8
     depth: F8
-    place: F8
+    position: F8
     noise: F8
     region: float
     least: float
 
-    def seen_part(self, place: F8, xyxy: F8, depth: F8) -> F8:
+    def visible_part(self, position: F8, xyxy: F8, depth: F8) -> F8:
         """(L,) share of p_D that is left, max(1 − c^1.5, least).
 
         Parameters
         ----------
-        place : array (r, L), what a measurement would show of the targets.
+        position : array (r, L), observed components of the targets.
         xyxy : array (L, 4), their boxes.
         depth : array (L,), how far away they stand.
         """
@@ -116,7 +116,7 @@ class Hiders:
         lower = np.ascontiguousarray(self.xyxy[:, :2].T)
         upper = np.ascontiguousarray(self.xyxy[:, 2:].T)
         i, j = overlapping_pairs(low, high, make_grid(lower, upper))
-        apart = (((place[:, i] - self.place[:, j]) / self.noise[:, j]) ** 2).sum(axis=0)
+        apart = (((position[:, i] - self.position[:, j]) / self.noise[:, j]) ** 2).sum(axis=0)
         own = np.full(len(depth), self.region)
         np.minimum.at(own, i, apart)
         others = (self.depth[j] < depth[i]) & (apart > own[i])
@@ -138,10 +138,10 @@ class PlaneSensor(PositionSensor):
 
     Parameters
     ----------
-    detection_probability : probability p_D that a target that is wholly visible is detected in a
-        frame; E13's is 0.7.
-    scaling : where R comes from, ``given`` or ``fixed``, see above.
-    fixed_noise : standard deviation of each coordinate in metres, for ``fixed``, and where nothing
+    detection_probability : probability p_D that a fully visible target is detected in a frame;
+        E13's is 0.7.
+    scaling : source of R, ``given`` or ``fixed``, see above.
+    fixed_noise : standard deviation of each coordinate in metres, for ``fixed``, and if nothing
         better is known; E13's is √0.5.
     box_noise : deviations of the foot point, as fractions of the box's width and height, of
         detections without a covariance.
@@ -152,14 +152,14 @@ class PlaneSensor(PositionSensor):
     gate_probability : part of the detections of a target that its gate holds; detections touch no
         particles beyond. 1: no gate.
     view : let p_D fall with the part of the person's box that is outside of the image, or be 0
-        outside of ``borders`` where there is no camera.
-    occlusion : let p_D fall where nearer people cover the person.
-    min_detection_probability : share of p_D that is left of a person who is covered altogether.
-    borders : what is watched, left, low, right and high border in metres, where there is no camera.
-        All 0: everything.
+        outside of ``borders`` without a camera.
+    occlusion : let p_D fall for people who are covered by nearer ones.
+    min_detection_probability : share of p_D that is left for a fully covered person.
+    borders : the observed region, left, low, right and high border in metres, without a camera. All
+        0: everything.
     frame_size : width and height of the image, pixels; (0, 0): no border.
     camera : between pixels and ground; None for detections in metres.
-    hiders : the targets expected in the frame that is looked at, as `watching` finds them.
+    hiders : the targets predicted for the present frame, from `watching`.
     """
 
     detection_probability: Probability = 0.9
@@ -184,8 +184,11 @@ class PlaneSensor(PositionSensor):
         check_region(self.borders, "PlaneSensor.borders")
 
     def measure(self, detections: Detections) -> F8:
-        """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on
-        the ground.
+        """(5, N) ground points and their covariances; columns of NaN for feet that are not on the
+        ground.
+
+        Raises `InputError` if the scaling is ``given`` and there is neither a camera nor a
+        covariance.
         """
         if len(detections) == 0:
             return np.zeros((5, 0))
@@ -217,7 +220,7 @@ class PlaneSensor(PositionSensor):
         return np.where(usable, z, np.nan)
 
     def _pixel_covariance(self, size: F8) -> F8:
-        """(N, 2, 2) of the foot points of boxes of ``size`` (2, N), pixels²."""
+        """(N, 2, 2) covariances of the foot points of boxes of ``size`` (2, N), pixels²."""
         variance = np.maximum(np.array(self.box_noise)[:, None] * size, self.min_noise) ** 2
         return variance.T[:, :, None] * np.eye(2)
 
@@ -238,30 +241,31 @@ class PlaneSensor(PositionSensor):
         if framed:
             out *= share_inside(boxes, width, height)
         if self.hiders is not None:
-            out *= self.hiders.seen_part(
+            out *= self.hiders.visible_part(
                 x[:2], boxes, self.camera.depth(np.ascontiguousarray(x[:2]))
             )
         return out
 
     def watching(self, targets: F8) -> PlaneSensor:
-        """The sensor where people are expected at these states; itself without them, or where
-        occlusion is not asked for.
+        """The sensor with people predicted at these states; itself without people or without
+        occlusion.
         """
         if not self.occlusion or self.camera is None or targets.shape[1] == 0:
             return self
-        place = np.ascontiguousarray(targets[:2])
-        noise = self.noise(targets)[:2]
-        depth = self.camera.depth(place)
-        return replace(
-            self,
-            hiders=Hiders(
-                self.boxes(targets), depth, place, noise, OWN, self.min_detection_probability
-            ),
+        position = np.ascontiguousarray(targets[:2])
+        hiders = Hiders(
+            self.boxes(targets),
+            self.camera.depth(position),
+            position,
+            self.noise(targets)[:2],
+            OWN,
+            self.min_detection_probability,
         )
+        return replace(self, hiders=hiders)
 
     def noise(self, x: F8) -> F8:
-        """(4, n) deviations by which components at ``x`` are resolved: of a person's foot there, of
-        an unknown velocity.
+        """(4, n) deviations by which components at ``x`` are resolved: of a person's foot there,
+        and of an unknown velocity.
         """
         out = np.empty((4, x.shape[1]))
         out[:2] = self.fixed_noise
@@ -278,18 +282,18 @@ class PlaneSensor(PositionSensor):
         return out
 
     def boxes(self, x: F8) -> F8:
-        """(n, 4) boxes of people of the nominal size standing there, as wide as the camera sees
-        metres across at the foot.
+        """(n, 4) boxes of people of the nominal size standing there; the width is by the camera's
+        pixels per metre across at the foot.
 
-        A camera that knows no heights (a homography) gives the height by the same scale. A person
+        A camera that knows no heights (a homography) uses the same scale for the height. A person
         outside of the image has a box of one pixel far outside of the image.
         """
         wide, tall = self.size
-        place = np.ascontiguousarray(x[:2])
+        position = np.ascontiguousarray(x[:2])
         if self.camera is None:
-            return np.concatenate([place - wide / 2, place + wide / 2]).T.copy()
-        foot = self.camera.pixels(place)
-        head = self.camera.pixels(np.vstack([place, np.full(x.shape[1], tall)]))
+            return np.concatenate([position - wide / 2, position + wide / 2]).T.copy()
+        foot = self.camera.pixels(position)
+        head = self.camera.pixels(np.vstack([position, np.full(x.shape[1], tall)]))
         scale = 1 / np.hypot(*self.camera.jacobian(foot)[:, :, 0].T)
         height = foot[1] - head[1]
         height = np.maximum(np.where(np.isfinite(height), height, tall * scale), 1.0)

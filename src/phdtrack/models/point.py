@@ -1,21 +1,20 @@
-"""Points in the image: how they move, and what a detector shows of them [D14].
+"""Points in the image: motion and sensor [D14].
 
-**Motion.** State x = (px, py, vx, vy), pixels and pixels per time unit. Over T = 1 position and
-velocity of an axis are disturbed independently, both with variance q:
+**Motion.** State x = (px, py, vx, vy), pixels and pixels per time unit. Over T = 1 independent
+noises of variance q act on position and velocity of an axis: Q(1) = q I. For whole T, of T such
+steps,
 
-    Q(1) = q I,        and for whole T, of T such steps,   Q(T) = q [T³/3 − T²/2 + 7T/6   (T² −
-    T)/2]
-                                                                    [(T² − T)/2            T
-                                                                    ]
+    Q(T) = q [T³/3 − T²/2 + 7T/6   (T² − T)/2]
+             [(T² − T)/2            T        ]
 
-for the position and velocity of an axis. As a polynomial in T this holds for every T > 0: it is
-what white noise of density q [[7/6, −1/2], [−1/2, 1]] on position and velocity gives, and an
-interval cut anywhere gives the same as the whole.
+As a polynomial in T this holds for every T > 0: it is the covariance of white noise of density q
+[[7/6, −1/2], [−1/2, 1]] on position and velocity, and an interval divided anywhere gives the same
+as the whole.
 
 **Sensor.** Measurement z = (px, py), the centroid of a box, g(z|x) = N(z; (px, py), r I), r in
-pixels². (D14 prints z = (px, py, 1, 1), which would observe a constant velocity of 1; it is not
-meant.) A source of detections may put more rows into z, such as the label of the target that a
-detection is known to come from: they are not compared.
+pixels². (D14 prints z = (px, py, 1, 1), which would observe a constant velocity of 1; that is not
+meant.) A source of detections may add rows to z, such as the label of the target of a detection:
+they are not compared.
 """
 
 from __future__ import annotations
@@ -53,10 +52,10 @@ class PointMotion(PositionMotion):
     borders: Region = EVERYWHERE
 
     def _variances(self, dt: float) -> Variances:
-        """Of position, of position and velocity, of velocity, over ``dt`` time units."""
-        place = dt**3 / 3 - dt**2 / 2 + 7 * dt / 6
+        """Variances of position, of position and velocity, of velocity, over ``dt`` time units."""
+        position = dt**3 / 3 - dt**2 / 2 + 7 * dt / 6
         return (
-            self.noise_variance * place,
+            self.noise_variance * position,
             self.noise_variance * (dt**2 - dt) / 2,
             self.noise_variance * dt,
         )
@@ -87,7 +86,7 @@ class PointSensor(PositionSensor):
     occlusion: ClassVar[bool] = False
 
     def _noise(self, z: F8) -> tuple[F8, F8, F8]:
-        """r I."""
+        """R = r I."""
         r = np.full(z.shape[1:], self.noise_variance)
         return r, np.zeros_like(r), r
 
@@ -106,11 +105,11 @@ class PointSensor(PositionSensor):
         )
 
     def watching(self, targets: F8) -> PointSensor:
-        """Itself: points hide no others."""
+        """The sensor itself: points hide no others."""
         return self
 
     def noise(self, x: F8) -> F8:
-        """(4, n) deviations by which components are resolved: of a centroid, of an unknown
+        """(4, n) deviations by which components are resolved: of a centroid, and of an unknown
         velocity.
         """
         out = np.empty((4, x.shape[1]))

@@ -1,15 +1,14 @@
-"""What targets without a size share: straight motion that noise pushes, and a measured place with
-Gaussian noise.
+"""Targets without a size: constant velocity with white noise, and a measured position with Gaussian
+noise.
 
-`models.plane` and `models.point` have the kinds of motion and sensor that rest on these.
+`models.plane` and `models.point` build on these.
 
 **Motion.** State x = (px, py, vx, vy, …). Along each axis noise disturbs position and velocity over
 an interval by variances (of position, of position and velocity, of velocity). Those of a
 white-noise acceleration of deviation a have two forms over an interval T [E13 §4]:
 
-    piecewise     a² (T⁴/4, T³/2, T²): the noise is constant over the interval, as the papers print
-    it continuous    a² (T³/3, T²/2, T): it is white, and a gap of two frames is the same as two
-    steps of one
+    piecewise     a² (T⁴/4, T³/2, T²): constant over the interval, as the papers print it
+    continuous    a² (T³/3, T²/2, T): white; a gap of two frames is the same as two steps of one
 
 **Sensor.** g(z|x) = N(z; h(x), R) of two components. R belongs to each measurement, or is the same
 for all targets.
@@ -34,9 +33,7 @@ Variances = tuple[float, float, float]
 
 
 class PositionMotion:
-    """f and p_S of targets that go straight. A kind of motion has these fields, or else gives its
-    variances.
-    """
+    """f and p_S of constant velocity. A motion has these fields, or defines its own variances."""
 
     __slots__ = ()
     dim: ClassVar[int] = 4
@@ -50,7 +47,7 @@ class PositionMotion:
         check_region(self.borders, f"{type(self).__name__}.borders")
 
     def _variances(self, dt: float) -> Variances:
-        """Of the noise over the interval ``dt`` [E13 §4]."""
+        """Variances of the noise over the interval ``dt`` [E13 §4]."""
         a2 = self.acceleration**2
         if self.form == "piecewise":
             return a2 * dt**4 / 4, a2 * dt**3 / 2, a2 * dt**2
@@ -79,14 +76,14 @@ class PositionMotion:
         n = x.shape[1]
         f = np.eye(4)
         f[0, 2] = f[1, 3] = dt
-        # Laid out in memory as `BoxMotion` does, for which the kernels are compiled.
+        # The layout in memory is that of `BoxMotion`, for which the kernels are compiled.
         jacobian = np.ndarray((n, 4, 4), np.float64, f, 0, (0, *f.strides))
         mean = x.copy()
         mean[0:2] += dt * x[2:4]
         return mean, jacobian, self._noise_covariance(dt, n).transpose(2, 0, 1)
 
     def warp_states(self, x: F8, warp: F8) -> F8:
-        """Raises `InputError`: the ground does not move with the image."""
+        """Always raises `InputError`: the ground does not move with the image."""
         raise InputError(
             "a target on the ground does not lie in the image: how its pixels move says nothing"
             " of it",
@@ -101,13 +98,13 @@ class PositionMotion:
 
 
 class PositionSensor(Checked):
-    """g of two measured components. A kind of sensor has these fields and gives R."""
+    """g of two measured components. A sensor has these fields and defines R."""
 
     __slots__ = ()
     observed: ClassVar[tuple[int, ...]] = (0, 1)
     linear: ClassVar[bool] = True
     angles: ClassVar[tuple[bool, ...]] = (False, False)
-    # Whether R is the same for all targets; else it comes with each measurement.
+    # R is the same for all targets; else it belongs to each measurement.
     constant_noise: ClassVar[bool] = True
     birth_speed: float
     gate_probability: float
@@ -118,8 +115,8 @@ class PositionSensor(Checked):
         return math.sqrt(chi2_quantile(2, self.gate_probability))
 
     def _noise(self, z: F8) -> tuple[F8, F8, F8]:
-        """R as R_xx, R_xy, R_yy of the shape of ``z[0]``: what z brings, where R is not the same
-        for all.
+        """R as R_xx, R_xy, R_yy of the shape of ``z[0]``: rows of z, unless R is the same for
+        all.
         """
         return z[2], z[3], z[4]
 
@@ -127,9 +124,9 @@ class PositionSensor(Checked):
         """(2, …) the positions."""
         return x[:2]
 
-    def innovation(self, z: F8, seen: F8) -> F8:
-        """(2, …) z − ``seen``."""
-        return z[:2] - seen
+    def innovation(self, z: F8, predicted: F8) -> F8:
+        """(2, …) z − ``predicted``."""
+        return z[:2] - predicted
 
     def covariance(self, z: F8, x: F8) -> F8:
         """(P, 2, 2) R for pairs of columns."""
@@ -137,29 +134,27 @@ class PositionSensor(Checked):
         return np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
 
     def target_noise(self, x: F8) -> F8:
-        """(L, 2, 2) R where it is the same for all, else (0, 2, 2)."""
+        """(L, 2, 2) R if it is the same for all, else (0, 2, 2)."""
         return self.covariance(x if self.constant_noise else np.zeros((5, 0)), x)
 
     def measurement_noise(self, z: F8) -> F8:
-        """(N, 2, 2) R where it comes with the measurements, else (0, 2, 2)."""
+        """(N, 2, 2) R if it belongs to the measurements, else (0, 2, 2)."""
         return self.covariance(z[:, :0] if self.constant_noise else z, z)
 
     def particle_model(self, z: F8) -> SensorNumbers:
-        """The numbers of g and p_D for the particle filters, and a column for each measurement; p_D
-        is asked for.
+        """The numbers of g for the particle filters, and a column for each measurement; p_D depends
+        on the state.
         """
         return SensorNumbers(*position_numbers(z, self.covariance(z, z)), np.zeros(0))
 
     def gate(self, z: F8) -> tuple[F8, F8]:
-        """Rectangles that reach G deviations along each axis from z; they hold the ellipse d ≤
-        G.
-        """
+        """Rectangles of G deviations along each axis about z; they contain the ellipse d ≤ G."""
         xx, _, yy = self._noise(z)
         half = self._gate * np.sqrt(np.stack([xx, yy]))
         return z[:2] - half, z[:2] + half
 
     def states(self, z: F8) -> tuple[F8, F8]:
-        """Targets at rest that would give z, with the covariance of what z alone tells."""
+        """States at rest that z alone implies, and their covariances."""
         n = z.shape[1]
         x = np.zeros((4, n))
         cov = np.zeros((n, 4, 4))

@@ -2,7 +2,7 @@
 [R65].
 
 Equations: docs/methods.md, Smoothing. Forward, too, a covariance is a sum of squares, P = A P⁻ Aᵀ +
-K R Kᵀ with A = I − K H: no rounding makes a variance negative, as P⁻ − K H P⁻ does where a camera
+K R Kᵀ with A = I − K H: rounding cannot make a variance negative, unlike P⁻ − K H P⁻ when a camera
 zooms in.
 
 Means are (n, d), covariances (n, d, d).
@@ -21,8 +21,8 @@ from phdtrack.types import F8, I8, STILL
 
 
 class Ahead(NamedTuple):
-    """Predictions ``mean`` (n, d) and ``covariance`` (n, d, d), and Jacobians and noises (n, d, d)
-    they were made with.
+    """Predictions ``mean`` (n, d) and ``covariance`` (n, d, d), with their Jacobians and noises (n,
+    d, d).
     """
 
     mean: F8
@@ -39,20 +39,15 @@ def moved(motion: Motion, mean: F8, dt: float, warp: F8 = STILL) -> tuple[F8, F8
     ----------
     motion, mean : the model's motion; (n, d).
     dt, warp : interval in the model's time unit; (3, 3) the camera's motion in it, `types.STILL`
-        where there is none.
+        for none.
     """
     x = np.ascontiguousarray(mean.T)
     if len(warp):
         slope = motion.warp_jacobian(x, warp)
-    else:
-        slope = None
-    later, jacobian, noise = motion.transition(
-        x if slope is None else motion.warp_states(x, warp), dt
-    )
-    if slope is None:
-        f = jacobian
-    else:
+        later, jacobian, noise = motion.transition(motion.warp_states(x, warp), dt)
         f = jacobian @ slope
+    else:
+        later, f, noise = motion.transition(x, dt)
     return np.ascontiguousarray(later.T), np.ascontiguousarray(f), np.ascontiguousarray(noise)
 
 
@@ -86,7 +81,7 @@ def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8
 def smooth_back(
     mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covariance: F8
 ) -> tuple[F8, F8]:
-    """Means and covariances given what the next frame says after all.
+    """Means and covariances given the smoothed states of the next frame.
 
     Parameters
     ----------
@@ -95,9 +90,11 @@ def smooth_back(
     later, later_covariance : (n, d), (n, d, d) smoothed states of the next frame.
     """
     smoothed = mean.copy(), covariance.copy()
-    given = (smoothed, tuple(ahead), (later, later_covariance))
     rts.smooth(
-        *(tuple(map(np.ascontiguousarray, one)) for one in given), np.ones(len(mean), np.bool_)
+        tuple(map(np.ascontiguousarray, smoothed)),
+        tuple(map(np.ascontiguousarray, ahead)),
+        (np.ascontiguousarray(later), np.ascontiguousarray(later_covariance)),
+        np.ones(len(mean), np.bool_),
     )
     return smoothed
 
@@ -111,7 +108,7 @@ def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequen
     ends : means (n, d) and covariances (n, d, d) before the gaps, then those after them.
     steps : (L + 1,) intervals from the states before through the frames of the gaps to the states
         after.
-    warps : (L + 1) camera motions in the intervals; empty where the camera stands still.
+    warps : (L + 1) camera motions in the intervals; empty for a fixed camera.
     """
     before, cov_before, after, cov_after = ends
     forward: list[tuple[F8, F8, Ahead]] = []

@@ -1,27 +1,27 @@
-"""γ and κ as a scene has taught them: γ(x) = s̄ p(x|b), κ(z) = r̄ p(z|c) [M09 (12)–(15)].
+"""γ and κ learned from a scene: γ(x) = s̄ p(x|b), κ(z) = r̄ p(z|c) [M09 (12)–(15)].
 
-Newborn are drawn around the detections that nothing predicted accounts for, as of
-`births.MeasurementBirth`. Around each, γ is taken as flat, with the value that makes the evidence
-of what is born there exact:
+Newborn particles are drawn around detections that no predicted target explains, as in
+`births.MeasurementBirth`. Around each, γ is flat, with the value that makes the evidence of births
+there exact:
 
     ∫ g(z|x) γ(x) dx = s̄ [α_u/V + α_g Σ_m π_m N(z; μ_m, Σ_m + R) / Z_m]
 
 for a sensor that shows some components of the state with noise R. Velocities have the mean and
-covariance of the same mixture given z; of the uniform part those of the sensor. So α_u = 1 is
-`MeasurementBirth` over the same volume. The Gaussian-mixture filters take the Gaussians themselves.
+covariance of the same mixture given z; those of the uniform part are the sensor's. So α_u = 1 is
+`MeasurementBirth` over the same volume. The Gaussian-mixture filters use the Gaussians themselves.
 
-**Added to the model's own.** The default γ and κ are the same everywhere at every scale
-(`models.volumes`), and high enough where people stand close: a κ spread over a whole frame and all
-sizes is so low that targets take whatever is near. With their rate a, l(z) = 1/(4w²h²), and p(z|o)
-the density of objects' detections,
+**Added to the model's own.** The default γ and κ are scale-invariant and the same everywhere
+(`models.volumes`), and high enough in crowds: a κ spread over a whole frame and all sizes is so low
+that targets claim any detection nearby. With their rate a, l(z) = 1/(4w²h²), and p(z|o) the density
+of objects' detections,
 
     κ(z) = a l(z) + r̄ p(z|c)      γ(z) = a l(z) p(z|b) / p(z|o)
 
-so that a scene of which nothing is known is the default model, learned false alarms are added, and
-the total number of births stays the same but goes to places where births were seen. This is ours,
-not M09's; a = 0 is M09's.
+so that an unknown scene is the default model, learned false alarms are added, and the total number
+of births stays the same but moves to places where births were observed. This is ours, not M09's; a
+= 0 is M09's.
 
-All of it lies at pixels of the image, and holds while the camera stands still (`refuse_standing`).
+All of it is tied to pixels of the image, and holds only for a fixed camera (`refuse_standing`).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from phdtrack.scene.mixture import OBSERVED
 from phdtrack.types import F8, GaussianMixture, Particles
 
 TINY = float(np.finfo(np.float64).tiny)
-# At detections, what of a Gaussian adds less than e^-16, 1e-7, of the uniform part is left out.
+# Gaussians that add less than e^-16, 1e-7, of the uniform part at a detection are left out.
 NEGLIGIBLE = 16.0
 
 
@@ -55,9 +55,9 @@ class SceneBirth(Checked):
     ----------
     births_per_second : s̄, expected births per second.
     density : p(x|b) on states (6).
-    particles : Jmax, particles drawn around a detection of which nothing is predicted.
-    births_per_detection : births a second in the neighbourhood of a box, where nothing is known; 0:
-        s̄ p(x|b) alone.
+    particles : Jmax, particles drawn around a detection without predicted mass.
+    births_per_detection : births a second in the neighbourhood of a box in an unknown scene; 0: s̄
+        p(x|b) alone.
     among : p(z|o), for births around detections; None: uniform over the volume.
     """
 
@@ -73,44 +73,41 @@ class SceneBirth(Checked):
         """Particles around the detections with the evidence and the velocities of γT there [M07 §2,
         M09 (12)].
         """
-        density, seen = self.around(sensor.states(z), seconds)
-        return particles_about(covered, seen, OBSERVED, self.particles, density, rng)
+        density, states = self.around(sensor.states(z), seconds)
+        return particles_about(covered, states, OBSERVED, self.particles, density, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT around the detections, and the learned Gaussians where there are no births around
+        """γT around the detections, and the learned Gaussians if there are no births around
         detections.
 
-        What of a learned Gaussian lies beyond the volume is not cut off; the part inside has the
-        mass of γT.
+        Learned Gaussians are not truncated at the volume; their parts inside have the mass of γT.
         """
-        seen = sensor.states(z)
+        measured = sensor.states(z)
         if self.births_per_detection > 0:
-            density, learned = self.around(seen, seconds)
+            density, learned = self.around(measured, seconds)
             return births_around(learned, density)
         contained = self._shown.contains(z[: len(OBSERVED)])
         flat = np.where(contained, self.births_per_second * self._shown.flat * seconds, 0.0)
         # The parts of the Gaussians inside the volume have their masses.
         weight, mean, covariance = self.density.gaussians
-        return births_around(
-            seen, flat, GaussianMixture(self.births_per_second * weight, mean, covariance), seconds
-        )
+        learned_births = GaussianMixture(self.births_per_second * weight, mean, covariance)
+        return births_around(measured, flat, learned_births, seconds)
 
     def expected(self, z: F8, seconds: float) -> float:
-        """s̄T, or with births around detections so many of each."""
+        """s̄T, or the number of births around all detections."""
         if self.births_per_detection > 0:
             return float(self.births_per_detection * seconds * z.shape[1])
         return self.births_per_second * seconds
 
-    def around(self, seen: tuple[F8, F8], seconds: float) -> tuple[F8, tuple[F8, F8]]:
-        """γT (N,) at detections, and the states (d, N) and covariances (N, d, d) about which
-        newborn are drawn.
+    def around(self, measured: tuple[F8, F8], seconds: float) -> tuple[F8, tuple[F8, F8]]:
+        """γT (N,) at detections, and the states (d, N) and covariances (N, d, d) of newborn, with
+        learned velocities.
 
-        ``seen`` are the states that the detections show, as `Sensor.states` gives them; velocities
-        are those learned.
+        ``measured``: the states that the detections imply, from `Sensor.states`.
         """
-        state, noise = seen
+        state, noise = measured
         shown = self._shown
-        weight, given, gate = self._learned
+        weight, predicted, gate = self._learned
         rows = np.array(OBSERVED)
         n = state.shape[1]
         z = np.ascontiguousarray(state[rows])
@@ -118,20 +115,19 @@ class SceneBirth(Checked):
         flat = NewTargets(
             np.full(n, shown.flat), np.ascontiguousarray(state.T), np.ascontiguousarray(noise)
         )
-        measured = Measurements(
+        measurements = Measurements(
             np.ascontiguousarray(z.T), noise[:, rows[:, None], rows], nothing, (0.0,) * len(rows)
         )
-        found = first_states(
-            Births(flat, weight, given.z, given.covariance), nothing + 1.0, given, measured, gate
-        )
-        density = np.where(shown.contains(z), found.density, 0.0)
-        # What a detection shows stays as it shows it.
+        births = Births(flat, weight, predicted.z, predicted.covariance)
+        newborn = first_states(births, nothing + 1.0, predicted, measurements, gate)
+        density = np.where(shown.contains(z), newborn.density, 0.0)
+        # Observed components stay those of the detection.
         hidden = np.setdiff1d(np.arange(len(state)), rows)
         mean = state.copy()
         covariance = noise.copy()
-        mean[hidden] = found.mean.T[hidden]
+        mean[hidden] = newborn.mean.T[hidden]
         block = (slice(None), hidden[:, None], hidden)
-        covariance[block] = found.covariance[block]
+        covariance[block] = newborn.covariance[block]
         if not self.births_per_detection:
             return self.births_per_second * seconds * density, (mean, covariance)
         objects = 1 / shown.volume if self.among is None else self.among(z, outside=self.among.flat)
@@ -140,12 +136,12 @@ class SceneBirth(Checked):
 
     @cached_property
     def _shown(self) -> SceneDensity:
-        """p of what measurements show, velocities integrated out."""
+        """p of the observed components, velocities integrated out."""
         return marginal(self.density, OBSERVED)
 
     @cached_property
     def _learned(self) -> tuple[F8, Expected, float]:
-        """The weights of the Gaussians of p, what they say of measurements, and the distance beyond
+        """The weights of the Gaussians of p, their predicted measurements, and the distance beyond
         which none counts.
         """
         weight, columns, covariance = self.density.gaussians
@@ -170,11 +166,9 @@ class SceneClutter(Checked):
     Parameters
     ----------
     clutter_per_frame : r̄, expected false alarms per frame.
-    density : p(z|c) on what measurements show (r). Where it does not reach, κ is that of its
-        uniform part: a detection beyond the volume is no more certain to be a target than one in an
-        empty place.
-    clutter_per_detection : false alarms a frame in the neighbourhood of a box that are added; 0:
-        none.
+    density : p(z|c) on observed components (r). Outside of its volume κ is that of its uniform
+        part: a detection there is no more certain to be a target than one in an empty place.
+    clutter_per_detection : additional false alarms a frame in the neighbourhood of a box; 0: none.
     """
 
     clutter_per_frame: NonNegative
@@ -192,11 +186,11 @@ class SceneClutter(Checked):
 
 
 def in_one_volume(birth: Birth, clutter: Clutter) -> tuple[Birth, Clutter]:
-    """Both, where one was learned and the other is uniform over the image: that one gets the volume
-    of the learned one.
+    """Birth and clutter over one volume: if one was learned and the other is uniform over the
+    image, the other gets the volume of the learned one.
 
-    This is the frame and the sizes that are detected. Over all sizes of the frame a density is
-    thousands of times less, and what the filter believes depends on the ratio of the two.
+    This is the frame and the sizes that are detected. Over all sizes in the frame a density is
+    thousands of times smaller, and probabilities of existence depend on the ratio of the two.
     """
     if (
         isinstance(clutter, SceneClutter)
@@ -215,26 +209,26 @@ def in_one_volume(birth: Birth, clutter: Clutter) -> tuple[Birth, Clutter]:
 
 @dataclass(frozen=True, eq=False)
 class FalseAlarmRatio:
-    """Likelihood ratios of false alarms to objects at a place, from what a person marked.
+    """Likelihood ratios of false alarms to objects at a position, from a person's labels.
 
-    A light that flickers is detected again and again as if a person stood there; no filter can tell
-    it by its motion. But on the frames that were looked at every detection is known to be a false
-    alarm or an object. With G(z) the Gaussians of κ(z), T(z) the density per frame of objects'
+    A flickering light is detected again and again as if a person stood there; no filter can
+    recognise it by its motion. But on labelled frames every detection is known to be a false alarm
+    or an object. With G(z) the Gaussians of κ(z), T(z) the density per frame of objects'
     detections, λ the share of false alarms that become tracks although κ is known, and B(z) as many
-    detections as objects have, spread as the Gaussians of p(z|b), the ratios are
+    detections as objects have, distributed as the Gaussians of p(z|b), the ratios are
 
-        λ G(z)/T(z)  of a false alarm that became a track      κ(z)/(T(z) + B(z))  of any false
-        alarm
+        λ G(z)/T(z)           of a false alarm that became a track
+        κ(z)/(T(z) + B(z))    of any false alarm
 
-    B counts because targets enter where others did, which many more frames have shown; where false
-    alarms become tracks births tell nothing, as the tracker's own tracks begin there, too. This is
-    ours, not M09's.
+    B counts because targets enter where others did, which many more frames have shown; it does not
+    count for false alarms that become tracks, because the tracker's own tracks begin there, too.
+    This is ours, not M09's.
 
     Parameters
     ----------
     clutter : false alarms.
-    tracked : which of them become tracks, and where objects are.
-    births : where targets enter, None where that was not learned.
+    tracked : the share of them that become tracks, and the density of objects.
+    births : the density of entering targets, None if it was not learned.
     """
 
     clutter: LearnedDensity
@@ -245,12 +239,12 @@ class FalseAlarmRatio:
         """(2, N) logarithms of λG/T and of κ/(T + B) at boxes ``z`` (4, N)."""
         objects = self.tracked.objects
         alarms = self.clutter.density
-        # The Gaussians count inside the volume only; the uniform parts go on beyond it.
+        # The Gaussians count inside the volume only; the uniform parts continue beyond it.
         gaussians = self.clutter.rate * alarms.gaussian_part(z)
         present = objects.rate * objects.density(z, outside=objects.density.flat)
-        entering = (
-            0.0 if self._entrances is None else objects.rate * self._entrances.gaussian_part(z)
-        )
+        entering: F8 | float = 0.0
+        if self._entrances is not None:
+            entering = objects.rate * self._entrances.gaussian_part(z)
         tracked = np.maximum(self.tracked.share * gaussians, TINY) / np.maximum(present, TINY)
         any_alarm = np.maximum(gaussians + self.clutter.rate * alarms.flat, TINY)
         return np.log([tracked, any_alarm / np.maximum(present + entering, TINY)])
@@ -264,7 +258,7 @@ class FalseAlarmRatio:
 
 
 def not_standing(what: str) -> InputError:
-    """The error of a part that lies at pixels, under a camera that moves."""
+    """The error of a part that is tied to pixels, under a moving camera."""
     return InputError(
         f"{what} holds for places in the image of a camera that stands still",
         where="camera motion",
@@ -273,7 +267,7 @@ def not_standing(what: str) -> InputError:
 
 
 def refuse_standing(model: Model) -> None:
-    """Raise `InputError` where births or false alarms of the model lie at pixels, which a moving
+    """Raise `InputError` if births or false alarms of the model are tied to pixels, which a moving
     camera leaves behind.
     """
     if isinstance(model.birth, FixedBirth | SceneBirth):

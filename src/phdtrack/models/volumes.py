@@ -1,19 +1,19 @@
-"""How births and false alarms are spread: densities over the image or the ground, none of which
-looks at other detections.
+"""Spatial densities of births and false alarms over the image or the ground; none depends on other
+detections.
 
-What counts is the ratio of the birth density to the clutter density at a measurement. Over the same
-volume one detection alone brings a mass of about rate_birth/rate_clutter; how fast further ones
-raise it depends on the volume's size against the noise's.
+The ratio of the birth density to the clutter density at a measurement matters. Over the same volume
+one detection alone brings a mass of about rate_birth/rate_clutter; how fast further ones raise it
+depends on the size of the volume relative to the noise.
 
 ``image``: uniform over all positions and all sizes of the frame, W²H² pixel⁴; on the ground
-``region``: a rectangle. One more coherent detection suffices.
+``region``: a rectangle. One more consistent detection suffices.
 
-``local``: the same at every scale. A box (w, h) has the density rate/(4w²h²), so that the ``rate``
-is expected among boxes within ±1 box in position and with 0.5 to 1.5 of its size: small boxes come
-as close together as their size allows, as distant objects do. On the ground the rate is that of the
-ellipse of `PLANE_REACH` deviations of a detection's own noise, so that the ratio to the noise is
-the same near the camera and far away. About two more detections are needed. M07's words, "around
-the detections", suggest this. It has no total over the frame: small boxes have no end.
+``local``: scale-invariant. A box (w, h) has the density rate/(4w²h²), so that ``rate`` boxes are
+expected within ±1 box in position and with 0.5 to 1.5 of its size: small boxes come as close
+together as their size allows, as distant objects do. On the ground the rate is that of the ellipse
+of `PLANE_REACH` deviations of a detection's own noise, so that the ratio to the noise is the same
+near the camera and far away. About two more detections are needed. M07's "around the detections"
+suggests this. It has no total over the frame: boxes can be arbitrarily small.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SIZES = (0.5, 1.5)
 
 
 def image_area(frame_size: tuple[float, float]) -> float:
-    """All positions in the frame, WH pixel²; `InputError` where the frame has no size."""
+    """All positions in the frame, WH pixel²; `InputError` if the frame has no size."""
     width, height = frame_size
     if width <= 0 or height <= 0:
         raise InputError(
@@ -61,7 +61,7 @@ EVERYWHERE: Region = (0.0, 0.0, 0.0, 0.0)
 
 
 def check_region(region: Region, where: str) -> None:
-    """Raise `InputError` where the region is none."""
+    """Raise `InputError` if this is no region."""
     left, low, right, high = region
     if not all(math.isfinite(border) for border in region) or (
         region != EVERYWHERE and not (left < right and low < high)
@@ -75,7 +75,7 @@ def check_region(region: Region, where: str) -> None:
 
 
 def area(region: Region, where: str) -> float:
-    """Its area in m²; `InputError` where it has no border."""
+    """The area of a region in m²; `InputError` if it has no border."""
     check_region(region, where)
     if region == EVERYWHERE:
         raise InputError(
@@ -87,7 +87,7 @@ def area(region: Region, where: str) -> float:
 
 
 def inside(x: F8, region: Region) -> Bool:
-    """Whether positions, the first two rows of ``x``, lie in the closed region; elementwise over
+    """True for positions, the first two rows of ``x``, in the closed region; elementwise over
     columns.
     """
     if region == EVERYWHERE:
