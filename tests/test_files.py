@@ -48,7 +48,7 @@ def xml_of(path: Path) -> object:
             read_toml,
             b"b = 1\n" + b"a." * 20_000 + b"a = 1",
             ", line 2",
-            "a name, came one of a hundred parts",
+            "a name, got one of a hundred parts",
         ),
         (read_toml, b"a = " + b"[" * 100_000, "", "nested without end"),
         (read_toml, b"a = " + b"{a=" * 100_000, "", "nested without end"),
@@ -173,11 +173,11 @@ def test_the_largest_file_is_stated_and_can_be_chosen(
     assert len(read_detections(path)) == 1
     monkeypatch.setenv(SIZE_LIMIT, "20")
     for reader in (read_detections, read_truth, read_camera, read_scene, load_settings):
-        with pytest.raises(InputError, match="at most 20 bytes, came 21") as caught:
+        with pytest.raises(InputError, match="at most 20 bytes, got 21") as caught:
             reader(path)
         assert "--max-file-size" in caught.value.cure
     monkeypatch.setenv(SIZE_LIMIT, "many")
-    with pytest.raises(InputError, match="a number of bytes, came 'many'"):
+    with pytest.raises(InputError, match="a number of bytes, got 'many'"):
         load(path)
 
 
@@ -185,7 +185,7 @@ def test_a_sparse_file_of_terabytes_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "large.csv"
     with path.open("wb") as file:
         file.truncate(1 << 42)
-    with pytest.raises(InputError, match="at most 4,000,000,000 bytes, came 4,398,046,511,104"):
+    with pytest.raises(InputError, match="at most 4,000,000,000 bytes, got 4,398,046,511,104"):
         read_detections(path)
 
 

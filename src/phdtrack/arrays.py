@@ -1,6 +1,6 @@
 """Small array operations that several packages share: sums by index, boxes, draws from mixtures.
 
-Boxes are written in two ways. ``xyxy`` is (N, 4): left, top, right, bottom. ``cxcywh`` is (4, N):
+Boxes have two forms. ``xyxy`` is (N, 4): left, top, right, bottom. ``cxcywh`` is (4, N):
 centre x, centre y, width, height as columns, the measurement vector z = (px, py, w, h) of M07 and
 M09.
 """
@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, GaussianMixture, Image, Particles
 
-# The part of the measurements of a box inside the usual gate: five deviations in four dimensions.
+# Share of the measurements of a box inside the usual gate: five deviations in four dimensions.
 GATE = 0.99995
 
 
 @lru_cache(maxsize=64)
 def chi2_quantile(dof: int, probability: float) -> float:
-    """The squared radius that holds this part of a standard Gaussian in ``dof`` dimensions; 1e8,
-    farther than any, for 1.
+    """The squared radius that contains this part of a standard Gaussian in ``dof`` dimensions; 1e8,
+    beyond everything, for 1.
     """
     if probability >= 1:
         return 1e8
@@ -37,24 +37,24 @@ def chi2_quantile(dof: int, probability: float) -> float:
         half = middle / 2
         odd = 0.5 * (dof % 2)
         # 1 − F, in closed form for whole and half degrees.
-        if dof % 2:
-            outside = math.erfc(math.sqrt(half))
-        else:
-            outside = 0.0
+        outside = math.erfc(math.sqrt(half)) if dof % 2 else 0.0
         outside += sum(
             math.exp(-half) * half ** (k + odd) / math.gamma(k + odd + 1) for k in range(dof // 2)
         )
-        low, high = (middle, high) if outside > 1 - probability else (low, middle)
+        if outside > 1 - probability:
+            low = middle
+        else:
+            high = middle
     return (low + high) / 2
 
 
 def _references(memories: list[NDArray[np.uint8]]) -> list[int]:
-    """How many references there are to each array."""
+    """The number of references to each array."""
     return [sys.getrefcount(memory) for memory in memories]
 
 
-# Memory of large arrays, from how many bytes on an array is large, and the references to memory
-# that no array uses.
+# Memory of large arrays, the size in bytes from which an array is large, the largest number of
+# blocks, and the number of references to memory that no array uses.
 _MEMORY: list[NDArray[np.uint8]] = []
 _LARGE = 2**20
 _MOST = 12
@@ -63,9 +63,9 @@ _UNUSED = _references([np.empty(0, np.uint8)])[0]
 
 
 def reused(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """An array of any content, where it is large in memory that no array uses any more.
+    """An uninitialised array; a large one reuses memory that no array uses any more.
 
-    Fresh pages from the operating system cost more than to write all their numbers.
+    Fresh pages from the operating system cost more than writing all their numbers.
     """
     size = math.prod(shape) * dtype.itemsize
     if size < _LARGE:
@@ -84,9 +84,9 @@ def sum_by(index: I8, value: F8, count: int) -> F8:
 
     Parameters
     ----------
-    index, value, count : (n,) each, and how many sums there are.
+    index, value, count : (n,) each, and the number of sums.
     """
-    # Of no values NumPy's are integers.
+    # NumPy's sums of no values are integers.
     return np.asarray(np.bincount(index, value, count), dtype=np.float64)
 
 
@@ -112,7 +112,7 @@ def area(xyxy: F8) -> F8:
 
 
 def intersection(a: F8, b: F8) -> F8:
-    """(N, M) areas that the boxes ``a`` (N, 4) and ``b`` (M, 4) share, in pixels²."""
+    """(N, M) areas of the intersections of boxes ``a`` (N, 4) and ``b`` (M, 4), in pixels²."""
     width = np.minimum(a[:, None, 2], b[None, :, 2]) - np.maximum(a[:, None, 0], b[None, :, 0])
     height = np.minimum(a[:, None, 3], b[None, :, 3]) - np.maximum(a[:, None, 1], b[None, :, 1])
     shared: F8 = np.maximum(width, 0) * np.maximum(height, 0)
@@ -120,8 +120,8 @@ def intersection(a: F8, b: F8) -> F8:
 
 
 def iou(a: F8, b: F8) -> F8:
-    """(N, M) intersection over union of the boxes ``a`` (N, 4) and ``b`` (M, 4); 0 where both have
-    no area.
+    """(N, M) intersection over union of the boxes ``a`` (N, 4) and ``b`` (M, 4); 0 if both have no
+    area.
     """
     shared = intersection(a, b)
     union = area(a)[:, None] + area(b)[None, :] - shared
@@ -129,7 +129,7 @@ def iou(a: F8, b: F8) -> F8:
 
 
 def iou_of_pairs(a: F8, b: F8) -> F8:
-    """(P,) intersection over union of the boxes ``a`` and ``b`` (P, 4), pair by pair; 0 where both
+    """(P,) intersection over union of the boxes ``a`` and ``b`` (P, 4), pair by pair; 0 if both
     have no area.
     """
     shared: F8 = np.clip(
@@ -140,7 +140,7 @@ def iou_of_pairs(a: F8, b: F8) -> F8:
 
 
 def share_inside(xyxy: F8, width: float, height: float) -> F8:
-    """(n,) the share of each box that lies in an image; 0 of a box without area.
+    """(n,) the share of each box that lies in an image; 0 for a box without area.
 
     Parameters
     ----------
@@ -151,12 +151,12 @@ def share_inside(xyxy: F8, width: float, height: float) -> F8:
 
 
 def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Generator) -> Particles:
-    """Particles of a mixture, of total mass ``scale`` times each component's weight.
+    """Particles drawn from a mixture, of total mass ``scale`` times each component's weight.
 
     Parameters
     ----------
-    mixture, count : whose components are drawn from, and the particles of each.
-    scale, rng : of the weights; of the draws.
+    mixture, count : the mixture, and the number of particles of each component.
+    scale, rng : factor of the weights; source of the draws.
     """
     d, k = mixture.mean.shape
     root = np.linalg.cholesky(mixture.covariance)
@@ -166,20 +166,20 @@ def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Gene
 
 
 BLURS = ("boxes", "faces")
-# A blurred region has at most so many cells along its longer side, none smaller than so many
-# pixels, and each side is a tenth longer than the box.
+# A blurred region has at most so many cells along its longer side, of at least so many pixels, and
+# each side is a tenth longer than the box.
 _CELLS = 6
 _CELL = 8
 _MARGIN = 0.1
 
 
 def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
-    """A copy of a picture in which boxes, or the upper third of them, are a few cells of one colour
+    """A copy of a picture in which boxes, or their upper thirds, are a few cells of one colour
     each.
 
-    A cell is the mean of what it covers; docs/security.md says what can still be seen. No network
-    looks for faces: the upper third of a standing person's box holds the head. Raises `InputError`
-    where ``blur`` is none of these.
+    A cell has the mean colour of its pixels; docs/security.md says what can still be recognised. No
+    network looks for faces: the upper third of a standing person's box contains the head. Raises
+    `InputError` if ``blur`` is none of these.
 
     Parameters
     ----------

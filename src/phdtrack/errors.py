@@ -1,11 +1,11 @@
-"""Errors that a user can mend, and bounds on settings that raise them.
+"""Errors that a user can fix, and bounds on settings that raise them.
 
-Every message says what was expected, what was found, where (file, line, frame or option) and the
-likely cure, in one or two sentences. The command line prints it without a traceback and exits with
-status 2.
+Every message reports the expected and the actual value, the location (file, line, frame or option)
+and the likely cure, in one or two sentences. The command line prints it without a traceback and
+exits with status 2.
 
-Bounds are stated once, in the annotation of a field, and checked wherever a record of settings is
-made:
+Bounds are stated once, in the annotation of a field, and checked whenever a record of settings is
+constructed:
 
     @dataclass(frozen=True)
     class Sensor(Checked):
@@ -49,15 +49,15 @@ EXTRAS = {
     "ray": "phdtrack[ray]",
     "rerun": "phdtrack[rerun]",
 }
-"""What installs the packages that `Tracker` does without, by the names of their modules."""
+"""Extras that install the optional packages, by the names of their modules."""
 
-# Each place is looked at once, whatever stands there: a damaged file may be one long name. A
-# password may hold a /, but what follows a host and its port is no password.
+# Each character is visited once, whatever the text: a damaged file may be one long name. A password
+# may contain a /, but the text behind a host and its port is no password.
 _PASSWORD = r"(?![^\s/:@]*[.\]][^\s/:@]*:\d+/)[^\s/:@]*:[^\s@]{1,100}"
 _USER = re.compile(rf"(?i)([a-z0-9+.-]{{1,30}}://)(?:[^/\s]+|{_PASSWORD})@")
 _PARAMETER = re.compile(r"([?&][^=&?]*=)[^&#\s]*")
 _SECRET = re.compile(r"(?i)pass|pwd|token|secret|key|auth")
-# A sentence of more characters loses its middle: what is wrong may be a value of many thousand.
+# A longer sentence loses its middle: the wrong value may have many thousand characters.
 _LONGEST = 4000
 
 
@@ -67,12 +67,12 @@ def shown(text: str) -> str:
     """
     text = _USER.sub(r"\1…@", text)
     return _PARAMETER.sub(
-        lambda found: f"{found[1]}…" if _SECRET.search(found[1]) else found[0], text
+        lambda match: f"{match[1]}…" if _SECRET.search(match[1]) else match[0], text
     )
 
 
 def _sentence(text: str) -> str:
-    """What may be shown of the text, without its middle where it is very long."""
+    """The text without secrets, and without its middle if it is very long."""
     text = shown(text)
     if len(text) <= _LONGEST:
         return text
@@ -80,25 +80,25 @@ def _sentence(text: str) -> str:
 
 
 class InputError(ValueError):
-    """The input is not what it should be, and the user can mend it. User names and passwords of
-    addresses are not shown.
+    """Wrong input that the user can fix. User names and passwords of addresses are masked.
 
     Parameters
     ----------
-    problem : what was expected and what was found.
-    where : file, option or frame that the problem is in ("det.txt, line 12").
-    cure : what to do about it; may be empty.
+    problem : the expected and the actual value.
+    where : file, option or frame of the problem ("det.txt, line 12").
+    cure : the likely cure; may be empty.
     """
 
     def __init__(self, problem: str, *, where: str | Path = "", cure: str = "") -> None:
         self.problem = _sentence(problem)
         self.where = _sentence(str(where))
         self.cure = _sentence(cure)
+        text = self.problem
         if self.where:
             text = f"{self.where}: {self.problem}"
-        else:
-            text = self.problem
-        super().__init__(f"{text.rstrip('.')}. {self.cure}" if cure else text)
+        if cure:
+            text = f"{text.rstrip('.')}. {self.cure}"
+        super().__init__(text)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
@@ -111,8 +111,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def needed(module: str) -> Any:
-    """The module, of a package that need not be installed with this one; `InputError` says what to
-    install.
+    """The module of an optional package; `InputError` names the extra to install if it is
+    missing.
     """
     try:
         return import_module(module)
@@ -121,8 +121,10 @@ def needed(module: str) -> Any:
 
 
 def absent(error: ImportError, module: str = "") -> InputError:
-    """What to install where a ``module``, or one that it needs, is missing. Raises ``error`` where
-    that is not known.
+    """The error that names the package to install if a ``module``, or one that it needs, is
+    missing.
+
+    Raises ``error`` if the package is unknown.
     """
     name = (error.name or module).partition(".")[0]
     package = EXTRAS.get((module or name).partition(".")[0]) or EXTRAS.get(name)
@@ -145,32 +147,30 @@ def later(number: int, frame: object) -> None:
 
 
 def interrupted(error: BaseException) -> bool:
-    """Whether ``error`` is Ctrl-C, or what compiled code has made of it: some of Numba's turns it
-    into a SystemError.
+    """True if ``error`` is Ctrl-C or was caused by it: some compiled code of Numba turns it into a
+    SystemError.
     """
-    seen: BaseException | None = error
-    while seen is not None:
-        if isinstance(seen, KeyboardInterrupt):
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, KeyboardInterrupt):
             return True
-        seen = seen.__cause__ or seen.__context__
+        cause = cause.__cause__ or cause.__context__
     return False
 
 
 @cache
 def bounds(kind: type[Any]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
-    """Pairs (field, its bounds) of a dataclass whose annotations state any."""
+    """Pairs (field, its bounds) of the fields of a dataclass with bounds in their annotations."""
     hints = get_type_hints(kind, include_extras=True)
-    found = []
+    bounded = []
     for field in fields(kind):
         hint = hints[field.name]
-        # Of a tuple all elements have the bounds of the first.
+        # All elements of a tuple have the bounds of the first.
         if get_origin(hint) is tuple:
             hint = get_args(hint)[0]
-        else:
-            hint = hint
         if get_origin(hint) is Annotated:
-            found.append((field.name, get_args(hint)[1:]))
-    return tuple(found)
+            bounded.append((field.name, get_args(hint)[1:]))
+    return tuple(bounded)
 
 
 class Checked:
@@ -183,18 +183,20 @@ class Checked:
 
 
 def check(settings: Any) -> None:
-    """Raise `InputError` where a field of the dataclass ``settings`` breaks its annotation's bounds
-    or is not finite.
+    """Raise `InputError` if a field of the dataclass ``settings`` breaks its annotation's bounds or
+    is not finite.
     """
-    kind: Any = type(settings)
-    for name, limits in bounds(kind):
-        given = getattr(settings, name)
-        for value in given if isinstance(given, tuple) else (given,):
-            _check_number(value, limits, f"{kind.__name__}.{name}")
+    record: Any = type(settings)
+    for name, limits in bounds(record):
+        values = getattr(settings, name)
+        if not isinstance(values, tuple):
+            values = (values,)
+        for value in values:
+            _check_number(value, limits, f"{record.__name__}.{name}")
 
 
 def _check_number(value: Any, limits: tuple[Any, ...], where: str) -> None:
-    """Raise `InputError` where the value is no finite number within the limits."""
+    """Raise `InputError` if the value is no finite number within the limits."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise InputError(f"expected a number, got {value!r}", where=where)
     if not math.isfinite(value):

@@ -1,5 +1,4 @@
-"""Files that a user named, with errors that say what is wrong, and files that are whole or not
-there; modules that are loaded when they are first used; values for JSON."""
+"""Files that a user names, with helpful errors; atomic writing; lazy modules; values for JSON."""
 
 from __future__ import annotations
 
@@ -20,36 +19,36 @@ from phdtrack.errors import InputError
 
 AnyPath = str | os.PathLike[str]
 
-# Where benchmarks put the file that is meant when the folder of a sequence is named.
+# The usual files in the folder of a sequence of a benchmark.
 _USUAL = ("gt/gt.txt", "det/det.txt", "gt.txt", "det.txt", "tracks.csv", "detections.csv")
 
-# What the name of a file ends in as long as it is not complete.
+# Suffix of a file that is not complete.
 PART = ".part"
 
-# Bytes of a file that is read whole, where this variable of the environment does not say otherwise.
+# Largest file that is read whole, in bytes, unless this variable of the environment sets it.
 SIZE_LIMIT = "PHDTRACK_MAX_FILE_SIZE"
 MAX_SIZE = 4_000_000_000
-# Digits of a whole number: it is none that a float has.
+# A whole number with more digits than any float.
 _LONG_NUMBER = re.compile(rb"\d[\d_]{299}|0x[\da-fA-F_]{250}")
 # A name of a hundred parts in TOML, whose parser takes minutes for ten thousand.
 _LONG_NAME = re.compile(rb"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){100}")
-# Elements within each other: each one knows those around it.
+# Depth of nested elements: each one knows those around it.
 _DEEPEST = 100
-# Parameters of mallopt: the number of heaps, and from how many bytes on memory comes from the
-# system and goes back to it. Of itself that grows to the largest that was freed, and then pictures
-# lie between small things and are never given back.
+# Parameters of mallopt: the number of heaps, and the size in bytes from which memory comes from the
+# system and goes back to it. By default that size grows to the largest block that was freed, and
+# then pictures lie between small blocks and are never returned.
 _M_ARENA_MAX = -8
 _M_MMAP_THRESHOLD = -3
 _LARGE = 4_000_000
 
 
 def part_of(path: Path) -> Path:
-    """Where the file is as long as it grows: beside it, under a name that ends in ``.part``."""
+    """The name of the file while it grows: beside it, with the suffix ``.part``."""
     return path.with_name(path.name + PART)
 
 
 def refuse_part(path: AnyPath) -> None:
-    """Raise `InputError` where the name says that the file is not complete."""
+    """Raise `InputError` if the name shows that the file is not complete."""
     if str(path).endswith(PART):
         cure = (
             "Wait until the run that writes it has ended; if it was killed, run it again with"
@@ -59,14 +58,14 @@ def refuse_part(path: AnyPath) -> None:
 
 
 def publish(path: Path) -> None:
-    """Give a file that grew in `part_of` its name, when it is on disk. Raises ``OSError`` where
-    that fails.
+    """Flush a file that grew in `part_of` to disk and give it its name. Raises ``OSError`` if that
+    fails.
     """
     with part_of(path).open("rb+") as file:
         os.fsync(file.fileno())
     part_of(path).replace(path)
     if os.name == "posix":
-        # The new name, too, is to outlast a power cut.
+        # The new name must survive a power cut, too.
         folder = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -75,9 +74,7 @@ def publish(path: Path) -> None:
 
 
 def cannot_write(path: AnyPath, error: Any) -> InputError:
-    """The error of a file that cannot be written, in a sentence; ``error`` is an ``OSError``, or
-    FFmpeg's.
-    """
+    """The error of a file that cannot be written; ``error`` is an ``OSError``, or FFmpeg's."""
     cure = "Choose another place for the output."
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         cure = "Free some space; a run goes on with --resume."
@@ -90,22 +87,19 @@ def cannot_write(path: AnyPath, error: Any) -> InputError:
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A file that has its name when it is complete, and not before.
+    """A context that writes a file atomically: it gets its name when it is complete.
 
-    Gives the path to write to, which lies beside it. When the block is left the file is flushed to
-    disk and gets its name; after an error there is no new file, and one that was there before is as
-    it was. Raises `InputError` where it cannot be written, or is a device, a pipe or a folder,
-    which are not replaced.
+    Yields the path to write to, beside the file. When the block ends the file is flushed to disk
+    and gets its name; after an error there is no new file, and an old one is unchanged. Raises
+    `InputError` if it cannot be written, or is a device, a pipe or a folder, which are not
+    replaced.
     """
     part = part_of(path)
     try:
-        # Under /dev and /proc a name stands for something else, as /dev/stdout does.
+        # Names under /dev and /proc are no files, such as /dev/stdout.
         folder = path.parent.resolve().parts
-        if (
-            folder == ("/", "dev")
-            or folder[:2] == ("/", "proc")
-            or (path.exists() and not path.is_file())
-        ):
+        special = folder == ("/", "dev") or folder[:2] == ("/", "proc")
+        if special or (path.exists() and not path.is_file()):
             raise InputError(
                 "expected the name of a file, and this is none", where=path, cure="Choose another."
             )
@@ -121,17 +115,16 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8, whole or not at all, and make the folder. Raises `InputError` where that cannot
-    be done.
-    """
+    """Write UTF-8 atomically, and make the folder. Raises `InputError` if that fails."""
     with whole(path) as part:
-        # File names may hold bytes that are no text; their escape is also how JSON spells them.
+        # File names may contain bytes that are no text; JSON escapes them in the same way.
         part.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def load(path: AnyPath) -> bytes:
-    """The bytes of the file. Raises `InputError` where there is none, it is a folder, not complete,
-    too large, or may not be read."""
+    """The bytes of the file. Raises `InputError` if there is none, it is a folder, not complete,
+    too large, or cannot be read.
+    """
     path = Path(path)
     refuse_part(path)
     if "\0" in str(path):
@@ -145,7 +138,7 @@ def load(path: AnyPath) -> bytes:
     except FileNotFoundError:
         raise InputError("there is no such file", where=path, cure=_nearest(path)) from None
     except IsADirectoryError:
-        raise InputError("expected a file, came a folder", where=path, cure=_inside(path)) from None
+        raise InputError("expected a file, got a folder", where=path, cure=_inside(path)) from None
     except OSError as error:
         raise InputError(
             f"the file cannot be read: {error.strerror or error}", where=path
@@ -153,58 +146,60 @@ def load(path: AnyPath) -> bytes:
 
 
 def _check_size(path: AnyPath, size: int) -> None:
-    """Raise `InputError` where a file is larger than is read whole."""
-    given = os.environ.get(SIZE_LIMIT, str(MAX_SIZE))
-    if not given.isdecimal() or len(given) > 18:
-        raise InputError(f"expected a number of bytes, came {given[:40]!r}", where=SIZE_LIMIT)
-    if size > int(given):
-        problem = f"expected a file of at most {int(given):,} bytes, came {size:,}"
+    """Raise `InputError` if a file is too large to be read whole."""
+    limit = os.environ.get(SIZE_LIMIT, str(MAX_SIZE))
+    if not limit.isdecimal() or len(limit) > 18:
+        raise InputError(f"expected a number of bytes, got {limit[:40]!r}", where=SIZE_LIMIT)
+    if size > int(limit):
+        problem = f"expected a file of at most {int(limit):,} bytes, got {size:,}"
         raise InputError(
             problem, where=Path(path), cure="Is it the right file? If so, say --max-file-size SIZE."
         )
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; `InputError` where it cannot be read, or is none."""
+    """The tables of a TOML file; `InputError` if it cannot be read or is no TOML."""
     return parse_toml(path, load(path))
 
 
 def parse_toml(path: Path, content: bytes) -> dict[str, Any]:
-    """The tables in TOML; `InputError` names the line where it is none."""
+    """The tables in TOML; `InputError` names the line of the first error."""
     import tomllib
 
     _refuse_long_numbers(path, content)
-    if found := _LONG_NAME.search(content):
-        line = content.count(b"\n", 0, found.start()) + 1
+    if match := _LONG_NAME.search(content):
         raise InputError(
-            "expected a name, came one of a hundred parts", where=f"{path}, line {line}"
+            "expected a name, got one of a hundred parts", where=_line_of(path, content, match)
         )
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise InputError("expected a TOML file, got bytes that are no text", where=path) from None
     except RecursionError:
-        raise InputError("expected TOML, came brackets nested without end", where=path) from None
+        raise InputError("expected TOML, got brackets nested without end", where=path) from None
     except ValueError as error:
-        # Its own words end in the place.
-        reason, _, place = str(error).partition(" (at ")
-        number = re.match(r"line (\d+)", place)
-        if number:
+        # The message of tomllib ends with the position.
+        reason, _, position = str(error).partition(" (at ")
+        line = content.rstrip().count(b"\n") + 1
+        if number := re.match(r"line (\d+)", position):
             line = int(number[1])
-        else:
-            line = content.rstrip().count(b"\n") + 1
         raise InputError(f"not TOML: {reason}", where=f"{path}, line {line}") from None
 
 
 def _refuse_long_numbers(path: Path, content: bytes) -> None:
-    """Raise `InputError` for a whole number of hundreds of digits, which has its place nowhere, and
-    breaks what reads it.
+    """Raise `InputError` for a whole number of hundreds of digits, which is never valid and breaks
+    parsers.
     """
-    if found := _LONG_NUMBER.search(content):
-        line = content.count(b"\n", 0, found.start()) + 1
+    if match := _LONG_NUMBER.search(content):
         raise InputError(
-            "expected numbers, came one of hundreds of digits", where=f"{path}, line {line}"
+            "expected numbers, got one of hundreds of digits", where=_line_of(path, content, match)
         )
+
+
+def _line_of(path: Path, content: bytes, match: re.Match[bytes]) -> str:
+    """The location of a match in a file, for error messages."""
+    line = content.count(b"\n", 0, match.start()) + 1
+    return f"{path}, line {line}"
 
 
 def lazy(
@@ -227,7 +222,9 @@ def lazy(
 
 
 def _nearest(path: Path) -> str:
-    """The deepest folder of ``path`` that does exist: it shows which part of the name is wrong."""
+    """A hint that names the deepest existing folder of ``path``, which shows the wrong part of the
+    name.
+    """
     folder = next((p for p in path.absolute().parents if p.is_dir()), Path("/"))
     if folder == path.absolute().parent:
         return ""
@@ -235,15 +232,16 @@ def _nearest(path: Path) -> str:
 
 
 def _inside(path: Path) -> str:
-    found = [str(path / name) for name in _USUAL if (path / name).is_file()]
-    if found:
-        return f"Perhaps {' or '.join(found)} is meant."
+    """A hint that names the usual files in a folder."""
+    usual = [str(path / name) for name in _USUAL if (path / name).is_file()]
+    if usual:
+        return f"Perhaps {' or '.join(usual)} is meant."
     return "Name the file in it."
 
 
 def json_value(value: object) -> Any:
-    """``value`` in the types that JSON knows: NaN is None, what is unknown its text; ``repr=False``
-    leaves fields out.
+    """``value`` in the types of JSON: NaN becomes None, other types their text; fields with
+    ``repr=False`` are left out.
     """
     match value:
         case None | bool() | str() | int():
@@ -267,27 +265,27 @@ def json_value(value: object) -> Any:
 
 
 def read_json(path: Path, content: bytes) -> Any:
-    """What a JSON file holds; `InputError` names the line where it is none."""
+    """The content of a JSON file; `InputError` names the line of the first error."""
     import json
 
     _refuse_long_numbers(path, content)
     try:
         return json.loads(content)
     except UnicodeDecodeError:
-        raise InputError("expected JSON, came bytes that are no UTF-8 text", where=path) from None
+        raise InputError("expected JSON, got bytes that are no UTF-8 text", where=path) from None
     except json.JSONDecodeError as error:
         where = f"{path}, line {error.lineno}"
         raise InputError(
             f"expected JSON, which breaks here: {error.msg}", where=where, cure="Is it complete?"
         ) from None
     except RecursionError:
-        raise InputError("expected JSON, came brackets nested without end", where=path) from None
+        raise InputError("expected JSON, got brackets nested without end", where=path) from None
 
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """An element of an XML file: its name, its attributes, where it stands, and the elements around
-    it, outermost first; the parts of the text that it holds itself."""
+    """An element of an XML file: its name, its attributes, its line, the elements around it,
+    outermost first, and the parts of its own text."""
 
     name: str
     attributes: Mapping[str, str]
@@ -298,18 +296,18 @@ class Element:
 
     @property
     def where(self) -> str:
-        """Its place in words."""
+        """Its location for error messages."""
         return f"{self.path}, line {self.line}"
 
     def number(self, *names: str) -> float:
-        """The value of the first of these attributes that there is; `InputError` where there is
-        none, or it is no number.
+        """The value of the first of these attributes that exists; `InputError` if there is none,
+        or it is no number.
         """
         name = next((name for name in names if name in self.attributes), "")
-        problem = f"expected <{self.name}> with a value for {' or '.join(names)}, came one without"
+        problem = f"expected <{self.name}> with a value for {' or '.join(names)}, got one without"
         if name:
             problem = (
-                f"expected a finite number for {name} of <{self.name}>, came"
+                f"expected a finite number for {name} of <{self.name}>, got"
                 f" '{self.attributes[name]}'"
             )
             with suppress(ValueError):
@@ -322,13 +320,13 @@ class Element:
 def read_xml(path: Path, content: bytes) -> list[Element]:
     """The elements of an XML file in the order in which they begin.
 
-    A document type or an entity is refused, because that is how a small file is made to expand
-    without bound. `InputError` names the line, also where the file is not well-formed.
+    Document types and entities are refused, because they let a small file expand without bound.
+    `InputError` names the line, also if the file is not well-formed.
     """
     from xml.parsers import expat
 
     parser = expat.ParserCreate()
-    found = list[Element]()
+    elements = list[Element]()
     open_ = list[Element]()
 
     def start(name: str, attributes: dict[str, str]) -> None:
@@ -337,11 +335,11 @@ def read_xml(path: Path, content: bytes) -> list[Element]:
             raise InputError(
                 f"expected XML of at most {_DEEPEST} elements within each other", where=where
             )
-        found.append(Element(name, attributes, path, parser.CurrentLineNumber, tuple(open_)))
-        open_.append(found[-1])
+        elements.append(Element(name, attributes, path, parser.CurrentLineNumber, tuple(open_)))
+        open_.append(elements[-1])
 
     def refuse(*_: object) -> None:
-        problem = "expected XML without a document type and entities, came a declaration of one"
+        problem = "expected XML without a document type and entities, got a declaration of one"
         cure = "Remove the <!DOCTYPE …> from the file."
         raise InputError(problem, where=f"{path}, line {parser.CurrentLineNumber}", cure=cure)
 
@@ -364,18 +362,18 @@ def read_xml(path: Path, content: bytes) -> list[Element]:
     except (LookupError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"expected XML in UTF-8, came {error}", where=f"{path}, line 1") from None
-    return found
+        raise InputError(f"expected XML in UTF-8, got {error}", where=f"{path}, line 1") from None
+    return elements
 
 
 def return_memory() -> None:
-    """Give memory that was freed back to the system, and let threads share two heaps: glibc has up
-    to eight for each core, and keeps in each the pictures that were freed there."""
-    if sys.platform == "linux":
-        library = ctypes.CDLL(None)
-    else:
-        library = None
-    if library is not None and getattr(library, "malloc_trim", None) is not None:
+    """Return freed memory to the system, and let threads share two heaps: glibc has up to eight for
+    each core, and keeps the pictures that were freed in each.
+    """
+    if sys.platform != "linux":
+        return
+    library = ctypes.CDLL(None)
+    if getattr(library, "malloc_trim", None) is not None:
         library.mallopt(_M_ARENA_MAX, 2)
         library.mallopt(_M_MMAP_THRESHOLD, _LARGE)
         library.malloc_trim(0)

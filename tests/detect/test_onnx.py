@@ -334,7 +334,7 @@ def test_invalid_networks_are_rejected(tmp_path: Path, monkeypatch: pytest.Monke
         ),
         ("onnx:text.onnx", {}, r"text\.onnx: onnxruntime .* cannot run this network"),
         ("onnx:none.onnx", {}, r"none\.onnx: there is no such file"),
-        ("onnx:.", {}, "came a folder"),
+        ("onnx:.", {}, "got a folder"),
         (
             "onnx:one.onnx",
             {},

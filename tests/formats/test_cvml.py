@@ -49,7 +49,7 @@ def test_first_frame_can_be_given(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "line", "words"),
     [
-        (('xc="20"', 'xc="twenty"'), 6, "a finite number for xc of <box>, came 'twenty'"),
+        (('xc="20"', 'xc="twenty"'), 6, "a finite number for xc of <box>, got 'twenty'"),
         (('xc="20" ', ""), 6, "<box> with a value for xc"),
         (('w="4" xc="20"', 'w="0" xc="20"'), 6, "width and a height above 0, got width 0"),
         (

@@ -160,7 +160,7 @@ def test_missing_file_or_folder_is_reported(tmp_path: Path) -> None:
     assert str(tmp_path) in caught.value.cure
     (tmp_path / "det").mkdir()
     path = put(tmp_path / "det", GOOD)
-    with pytest.raises(InputError, match="expected a file, came a folder") as caught:
+    with pytest.raises(InputError, match="expected a file, got a folder") as caught:
         read_detections(tmp_path)
     assert str(path) in caught.value.cure
 
