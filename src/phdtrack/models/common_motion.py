@@ -1,24 +1,23 @@
-"""The camera's motion from the detections alone: what all targets do that no target did before.
+"""Camera motion estimated from the detections alone: the innovation that all targets share.
 
-A target's own motion is in its state. What is left over and common to all, a shift, a zoom and a
-turn about the middle of the image (`kernels.common_motion`), is the camera's. Its velocity ω, of
-these four components in pixels, follows
+A target's own motion is in its state. A remaining shift, zoom and turn about the middle of the
+image that all targets share (`kernels.common_motion`) is the camera's. Its velocity ω, of these
+four components in pixels, follows
 
     ω_k = e^(−T/τ) ω_{k−1} + ε_k,    ε_k of Student's t with the scales √q
 
-A camera that goes on as before is soon in the velocities of all targets, and ω is what is new.
+The velocities of all targets soon include a constant motion of the camera; ω is the rest.
 
-Where the camera's motion is given, by a file or measured in pictures, it takes the place of the
-first term, less what of it is in the velocities already, and its ε have scales of their own. Which
-of the two holds is decided by the evidence for both so far, with hysteresis: motions that say
-nothing of the detections, or say it wrongly, are not followed.
+If the camera's motion is given, by a file or measured in pictures, it replaces the first term,
+without the part that is in the velocities already, and its ε have scales of their own. The
+accumulated evidence chooses between the two, with hysteresis: given motions that do not explain the
+detections are not followed.
 
-A still camera must lose nothing. So q is learned, from what the detections say without the prior
-and how exactly: each frame says r² − C of it, r with variance C, and counts 1/(q + C)². Of the mean
-one standard error is taken off, and a component without any q stands still. A camera that suddenly
-moves is found by a vote on the differences of like boxes; its motion must explain the detections
-better by a margin. How exact boxes are is learned, too, from all pairs: a factor for each
-component.
+A fixed camera must lose nothing. So q is learned from the estimates r without the prior and their
+variances C: each frame contributes r² − C with weight 1/(q + C)². The mean is reduced by one
+standard error, and a component with q = 0 stands still. A sudden motion is found by a vote on the
+differences of similar boxes; it must explain the detections better by a margin. The accuracy of
+boxes is learned, too, from all pairs: a factor for each component.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ JUMP_PENALTY = 7.0
 # Log-evidence by which a given motion must be worse than none to be ignored, and better to be used
 # again.
 SWITCH_EVIDENCE = 10.0
-# Pairs that the beginning counts for in what is learned of boxes, and of how many it is remembered.
+# Pairs that the prior of the accuracy of boxes counts for, and the number of pairs in memory.
 _PAIRS = 40.0
 _PAIRS_KEPT = 500.0
 # Log-evidence of one frame for or against the given motion, at most, and frames after which it
@@ -60,18 +59,18 @@ _ZOOM = 4.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraState:
-    """What is carried from frame to frame.
+    """The state of the camera's motion between frames.
 
     Attributes
     ----------
     mean, covariance : (n, d), (n, d, d) the targets of the last frame.
     velocity : (4,) ω, of shift, zoom and turn, pixels per time unit.
-    excess, weight : (2, 4) sums of what frames said of q, weighed, and of the weights; without and
-        with a given motion.
-    scale, pairs : (4,) how many times the model's the variances of differences are, and pairs
-        behind that.
-    evidence : log-odds of the given motion against none; whether it is ``followed``.
-    left : (4,) what of the given velocity was not followed, and so is in the targets' own.
+    excess, weight : (2, 4) weighted sums of the frames' estimates of q, and of their weights;
+        without and with a given motion.
+    scale, pairs : (4,) ratios of the variances of differences to the model's, and the numbers of
+        pairs behind them.
+    evidence : log-odds of the given motion against none; ``followed``: true if it is used.
+    left : (4,) the part of the given velocity that was not followed, and so is in the targets' own.
     """
 
     mean: F8 = field(default_factory=lambda: np.zeros((0, 0)))
@@ -95,7 +94,7 @@ def _after(step: F8, base: F8) -> F8:
     return step
 
 
-class _Found(NamedTuple):
+class _Alternative(NamedTuple):
     """One alternative: the whole ``warp``, its evidence, new sums of q, and sums of squared errors
     and of pairs (2, 4).
     """
@@ -137,14 +136,7 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             warp = bases[-1 if state.followed else 0]
             return self._moved(state, warp, given, dt, fading), warp
         alternatives = [
-            self._found(
-                state,
-                z,
-                replace(model, warp=base) if len(base) or len(model.warp) else model,
-                dt,
-                which,
-            )
-            for which, base in enumerate(bases)
+            self._alternative(state, z, model, base, dt, which) for which, base in enumerate(bases)
         ]
         evidence = state.evidence
         followed = state.followed
@@ -164,38 +156,35 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             weight[which] = one.weight
         scale = np.minimum(np.maximum(scale, 0.01), 10.0)
         pairs = kept + chosen.squares[1]
-        after = CameraState(
-            state.mean,
-            state.covariance,
-            state.velocity,
-            excess,
-            weight,
-            scale,
-            pairs,
-            evidence,
-            followed,
-            state.left,
+        after = replace(
+            state,
+            excess=excess,
+            weight=weight,
+            scale=scale,
+            pairs=pairs,
+            evidence=evidence,
+            followed=followed,
         )
         return self._moved(after, chosen.warp, given, dt, fading), chosen.warp
 
     def with_targets(self, state: CameraState, estimates: Estimates) -> CameraState:
         """The state with the targets of this frame."""
-        s = state
         mean = np.ascontiguousarray(estimates.state.T)
-        more = s.velocity, s.excess, s.weight, s.scale, s.pairs, s.evidence, s.followed, s.left
-        return CameraState(mean, estimates.covariance, *more)
+        return replace(state, mean=mean, covariance=estimates.covariance)
 
-    def _found(self, state: CameraState, z: F8, model: Model, dt: float, which: int) -> _Found:
-        """What the measurements (m, N) say after the camera's motion of the model; ``which`` is 1
-        where that was given.
+    def _alternative(
+        self, state: CameraState, z: F8, model: Model, base: F8, dt: float, which: int
+    ) -> _Alternative:
+        """The alternative after the camera's motion ``base``, with the measurements (m, N);
+        ``which`` is 1 if that motion was given.
         """
+        if len(base) or len(model.warp):
+            model = replace(model, warp=base)
         _, _, ahead = moved(model, state.mean, state.covariance, dt, "linear")
         columns = np.ascontiguousarray(ahead.mean.T)
         frame = self._frame
         noise = model.sensor.target_noise(columns)
-        if len(noise):
-            noise = noise
-        else:
+        if not len(noise):
             noise = model.sensor.measurement_noise(z).mean(axis=0, keepdims=True)
         boxes = differences(
             ahead.mean, ahead.covariance, noise, np.ascontiguousarray(z[:4].T), state.scale
@@ -204,38 +193,26 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         density = z.shape[1] / (4 * frame[0] * frame[1])
         kept = math.exp(-1 / MEMORY)
         rule = (detected, density, frame, dt, JUMP_PENALTY, LEAST_SHARE, kept)
-        motion, *said = frame_motion(
+        motion, *rest = frame_motion(
             boxes, rule, which == 0, state.excess[which], state.weight[which]
         )
-        return _Found(_after(similarity(motion, self._frame), model.warp), *said)
+        return _Alternative(_after(similarity(motion, self._frame), model.warp), *rest)
 
     def _moved(
         self, state: CameraState, warp: F8, given: F8, dt: float, fading: float
     ) -> CameraState:
-        """The state after the camera moved by ``warp`` in the interval, and ``given`` was said of
-        it.
+        """The state after the camera moved by ``warp`` in the interval; ``given`` is its given
+        motion.
         """
         velocity = motion_of(warp, self._frame) / dt
         if state.followed or not len(given):
             left = fading * state.left
         else:
             left = motion_of(given, self._frame) / dt - velocity
-        s = state
-        return CameraState(
-            s.mean,
-            s.covariance,
-            velocity,
-            s.excess,
-            s.weight,
-            s.scale,
-            s.pairs,
-            s.evidence,
-            s.followed,
-            left,
-        )
+        return replace(state, velocity=velocity, left=left)
 
     def _of_note(self, motion: F8) -> F8:
-        """(4,) the motion without components that are next to nothing."""
+        """(4,) the motion with negligible components set to 0."""
         return np.where(np.abs(motion) < LEAST * self._frame[2], 0.0, motion)
 
     @property
@@ -272,7 +249,7 @@ def similarity(motion: F8, frame: F8) -> F8:
 
 
 def motion_of(warp: F8, frame: F8) -> F8:
-    """(4,) shift, zoom and turn of what is in the middle of the image, pixels; see `similarity`."""
+    """(4,) shift, zoom and turn at the middle of the image, pixels; the inverse of `similarity`."""
     if not len(warp):
         return np.zeros(4)
     x, y, half = frame
