@@ -338,70 +338,34 @@ def with_tails(
 
 
 @njit(**INNER)
-def _largest_variance(noise: F8, a: int) -> float:
-    """The largest variance of component a in (N, r, r) covariances; 0 if there are none."""
-    largest = 0.0
-    for j in range(len(noise)):
-        largest = max(largest, noise[j, a, a])
-    return largest
+def _gate_extents(
+    spread: F8, noise: F8, extra: F8, tails: F8, row: int, a: int, gate: float, bounded: bool
+) -> F8:
+    """(J,) half the extents of the gates in component a, which is ``row`` of ``spread``."""
+    widest = 0.0
+    for j in range(len(extra)):
+        widest = max(widest, extra[j, a, a])
+    out = np.empty(len(spread))
+    for i in range(len(spread)):
+        variance = spread[i, row, row] + widest
+        if len(noise) > 0:
+            variance = variance + noise[i, a, a]
+        if len(tails) > 0:
+            variance = variance * tails[i, 0]
+        out[i] = gate * np.sqrt(variance) if bounded else np.inf
+    return out
 
 
 @njit(**INNER)
-def _gate_extent(
-    variance: float, noise: F8, tails: F8, i: int, a: int, gate: float, bounded: bool
-) -> float:
-    """Half the extent of the gate of Gaussian i in component a; ``variance`` is that of the
-    predicted measurement with the largest noise of a measurement.
+def _longer(pairs: Records) -> Records:
+    """A copy of the pairs with room for as many again.
+
+    In a loop, because Numba would compile code for error messages with an assignment of slices.
     """
-    if not bounded:
-        return np.inf
-    if len(noise) > 0:
-        variance = variance + noise[i, a, a]
-    if len(tails) > 0:
-        variance = variance * tails[i, 0]
-    extent: float = gate * np.sqrt(variance)
-    return extent
-
-
-@njit(**INNER)
-def _log_density(
-    d2: float, log_det: float, y: F8, s: F8, tails: F8, i: int, count: int
-) -> tuple[float, float, float]:
-    """d² by the noises of target i, the first two components' part of the model's d², and the log
-    of the measurement's density.
-
-    ``d2``, ``y``, ``s`` of `whitened`, ``log_det`` = log |2πS|, ``count`` components.
-    """
-    if len(tails) == 0:
-        return d2, d2, -0.5 * (d2 + log_det)
-    first = d2
-    if count > 2:
-        first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
-    own, value = with_tails(first, d2 - first, count, tails[i, 0], tails[i, 1], tails[i, 2])
-    return own, first, value - 0.5 * log_det
-
-
-@njit(**INNER)
-def _append(
-    pairs: Records, count: int, i: int, j: int, d2: float, first: float, log_density: float
-) -> Records:
-    """The pairs with another one behind the first ``count``, in a longer array if there is no
-    room.
-    """
-    if count == pairs.size:
-        longer = np.empty(2 * pairs.size, PAIR)
-        # In a loop, because Numba would compile code for error messages with an assignment of
-        # slices.
-        for q in range(pairs.size):
-            longer[q] = pairs[q]
-        pairs = longer
-    pair = pairs[count]
-    pair.gaussian = i
-    pair.measurement = j
-    pair.distance2 = d2
-    pair.first = first
-    pair.log_density = log_density
-    return pairs
+    out = np.empty(2 * pairs.size, PAIR)
+    for q in range(pairs.size):
+        out[q] = pairs[q]
+    return out
 
 
 @njit(**INNER)
@@ -428,37 +392,46 @@ def gated(
     spots, begin, along, across, low, scale, bounded = by_position(z, period)
     s = np.empty((rows.size, rows.size))
     y = np.empty(rows.size)
-    row = rows[along]
-    other = rows[across]
-    wide = _largest_variance(extra, along)
-    high = _largest_variance(extra, across)
-    cells = begin.size - 1
+    reach = _gate_extents(spread, noise, extra, tails, rows[along], along, gate, bounded)
+    width = _gate_extents(spread, noise, extra, tails, rows[across], across, gate, bounded)
     count = 0 * len(z)
     pairs = np.empty(2 * len(predicted) + 2 * len(z) + 16, PAIR)
     for i in range(len(predicted)):
         if not active[i] > 0.0:
             continue
-        reach = _gate_extent(spread[i, row, row] + wide, noise, tails, i, along, gate, bounded)
-        width = _gate_extent(spread[i, other, other] + high, noise, tails, i, across, gate, bounded)
-        x = predicted[i, row]
-        middle = predicted[i, other]
-        log_det = 0.0
-        factored_once = False
-        first_cell = cell_of(x - reach, low, scale, cells)
-        last_cell = cell_of(x + reach, low, scale, cells)
+        x = predicted[i, rows[along]]
+        middle = predicted[i, rows[across]]
+        log_det = np.nan
+        first_cell = cell_of(x - reach[i], low, scale, begin.size - 1)
+        last_cell = cell_of(x + reach[i], low, scale, begin.size - 1)
         for k in range(begin[first_cell], begin[last_cell + 1]):
             spot = spots[k]
-            if abs(spot.along - x) > reach or abs(spot.across - middle) > width:
+            if abs(spot.along - x) > reach[i] or abs(spot.across - middle) > width[i]:
                 continue
             j = spot.measurement
-            if len(extra) > 0 or not factored_once:
-                determinant = innovation(spread, rows, noise, extra, i, j, period, s)
-                log_det = np.log(determinant) + len(period) * LOG_2PI
-                factored_once = True
-            d2 = whitened(predicted, rows, z, i, j, period, s, y)
-            own, first, log_density = _log_density(d2, log_det, y, s, tails, i, len(period))
+            if len(extra) > 0 or np.isnan(log_det):
+                log_det = (
+                    np.log(innovation(spread, rows, noise, extra, i, j, period, s))
+                    + len(period) * LOG_2PI
+                )
+            d2 = first = own = whitened(predicted, rows, z, i, j, period, s, y)
+            log_density = -0.5 * (d2 + log_det)
+            if len(tails) > 0:
+                if len(period) > 2:
+                    first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
+                own, value = with_tails(
+                    first, d2 - first, len(period), tails[i, 0], tails[i, 1], tails[i, 2]
+                )
+                log_density = value - 0.5 * log_det
             if own <= gate * gate:
-                pairs = _append(pairs, count, i, j, d2, first, log_density)
+                if count == pairs.size:
+                    pairs = _longer(pairs)
+                pair = pairs[count]
+                pair.gaussian = i
+                pair.measurement = j
+                pair.distance2 = d2
+                pair.first = first
+                pair.log_density = log_density
                 count += 1
     return pairs[:count]
 

@@ -160,25 +160,6 @@ def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, 
     return x0, y0, nx / max(x1 - x0, 1e-9), ny / max(y1 - y0, 1e-9), nx, ny
 
 
-class Heads(NamedTuple):
-    """The groups so far: the Gaussian that is the ``head`` of each, and a grid of their means.
-
-    ``first`` (cells,): a group in each cell, ``after`` (n,): the next group in the same cell, −1:
-    none. ``x0``, ``y0``, ``sx``, ``sy``, ``nx``, ``ny``: origin, inverse cell size and number of
-    cells.
-    """
-
-    head: I8
-    first: I8
-    after: I8
-    x0: float
-    y0: float
-    sx: float
-    sy: float
-    nx: int
-    ny: int
-
-
 @njit(**INNER)
 def _by_weight(weight: F8, alive: I8) -> I8:
     """The indices ``alive`` (n,) by descending weight."""
@@ -192,57 +173,43 @@ def _by_weight(weight: F8, alive: I8) -> I8:
 
 
 @njit(**INNER)
-def _strongest_near(
-    heads: Heads, x: F8, cov: F8, i: int, distance: float, step: F8, factors: F8, axes: Axes
-) -> int:
-    """The strongest group whose head is within ``distance`` of Gaussian i; −1: none.
-
-    ``step`` (d,) and ``factors`` (d, d) are scratch.
-    """
-    limit = distance * distance
-    px = x[i, 0]
-    py = x[i, 1]
-    reach_x = distance * np.sqrt(cov[i, 0, 0])
-    reach_y = distance * np.sqrt(cov[i, 1, 1])
-    head = heads.head
-    first = heads.first
-    after = heads.after
-    best = -1
-    left = cell_of(px - reach_x, heads.x0, heads.sx, heads.nx)
-    right = cell_of(px + reach_x, heads.x0, heads.sx, heads.nx)
-    top = cell_of(py - reach_y, heads.y0, heads.sy, heads.ny)
-    bottom = cell_of(py + reach_y, heads.y0, heads.sy, heads.ny)
-    known = False
-    for line in range(top, bottom + 1):
-        for column in range(left, right + 1):
-            g = first[line * heads.nx + column]
-            while g >= 0:
-                here = g
-                g = after[g]
-                # The strongest head counts; one that is weaker than the best so far cannot win.
-                if 0 <= best <= here:
-                    continue
-                if abs(x[head[here], 0] - px) > reach_x or abs(x[head[here], 1] - py) > reach_y:
-                    continue
-                for r in range(len(axes)):
-                    step[r] = x[head[here], r] - x[i, r]
-                if _apart(step, cov, i, limit, axes):
-                    continue
-                if not known:
-                    _factor_covariance(cov, i, factors, axes)
-                    known = True
-                if _distance2(step, factors, axes) <= limit:
-                    best = here
-    return best
-
-
-@njit(**INNER)
 def _factor_covariance(cov: F8, i: int, factors: F8, axes: Axes) -> None:
     """Write the factors of covariance i, see `gaussian.factored`."""
     for r in range(len(axes)):
         for t in range(r + 1):
             factors[r, t] = cov[i, r, t]
     factored(factors, axes)
+
+
+@njit(**INNER)
+def _reaches(cov: F8, order: I8, distance: float) -> F8:
+    """(n, 2) the distances along x and y within which a head can be near each Gaussian."""
+    out = np.empty((order.size, 2))
+    for k in range(order.size):
+        for r in range(2):
+            out[k, r] = distance * np.sqrt(cov[order[k], r, r])
+    return out
+
+
+@njit(**INNER)
+def _ranges(
+    x: F8, order: I8, reach: F8, grid: tuple[float, float, float, float, int, int]
+) -> tuple[I8, I8, I8, I8, I8]:
+    """(n,) the first and last columns and lines of cells within reach of each mean, and its own
+    cell.
+    """
+    x0, y0, sx, sy, nx, ny = grid
+    n = order.size
+    out = np.empty((5, n), np.int64)
+    for k in range(n):
+        px = x[order[k], 0]
+        py = x[order[k], 1]
+        out[0, k] = cell_of(px - reach[k, 0], x0, sx, nx)
+        out[1, k] = cell_of(px + reach[k, 0], x0, sx, nx)
+        out[2, k] = cell_of(py - reach[k, 1], y0, sy, ny)
+        out[3, k] = cell_of(py + reach[k, 1], y0, sy, ny)
+        out[4, k] = cell_of(py, y0, sy, ny) * nx + cell_of(px, x0, sx, nx)
+    return out[0], out[1], out[2], out[3], out[4]
 
 
 @njit(**INNER)
@@ -253,31 +220,55 @@ def _groups(
     each group (k,).
     """
     n = alive.size
-    d = len(axes)
     order = _by_weight(weight, alive)
+    reach = _reaches(cov, order, distance)
+    limit = distance * distance
     group = np.empty(n, np.int64)
-    x0, y0, sx, sy, nx, ny = _cells(x, cov, alive)
-    first = np.empty(nx * ny, np.int64)
-    for c in range(nx * ny):
-        first[c] = -1
     head = np.empty(n, np.int64)
+    # The groups whose heads are in each cell, as a list: its first one, and the next after each.
+    grid = _cells(x, cov, alive)
+    nx = grid[4]
+    first = np.full(nx * grid[5], -1, np.int64)
+    left, right, top, bottom, home = _ranges(x, order, reach, grid)
     after = np.empty(n, np.int64)
-    heads = Heads(head, first, after, x0, y0, sx, sy, nx, ny)
-    factors = np.empty((d, d))
-    step = np.empty(d)
+    factors = np.empty((len(axes), len(axes)))
+    step = np.empty(len(axes))
     count = 0
     for k in range(n):
         i = order[k]
-        best = _strongest_near(heads, x, cov, i, distance, step, factors, axes)
-        if best < 0:
+        best = n
+        known = False
+        for line in range(top[k], bottom[k] + 1):
+            for column in range(left[k], right[k] + 1):
+                g = first[line * nx + column]
+                while g >= 0:
+                    # The strongest head counts; one weaker than the best so far cannot win.
+                    if g < best and _within(x, head[g], i, reach, k):
+                        for r in range(len(axes)):
+                            step[r] = x[head[g], r] - x[i, r]
+                        if not _apart(step, cov, i, limit, axes):
+                            if not known:
+                                _factor_covariance(cov, i, factors, axes)
+                                known = True
+                            if _distance2(step, factors, axes) <= limit:
+                                best = g
+                    g = after[g]
+        if best == n:
             best = count
             head[count] = i
-            home = cell_of(x[i, 1], y0, sy, ny) * nx + cell_of(x[i, 0], x0, sx, nx)
-            after[count] = first[home]
-            first[home] = count
+            after[count] = first[home[k]]
+            first[home[k]] = count
             count += 1
         group[k] = best
     return order, group, head[:count]
+
+
+@njit(**INNER)
+def _within(x: F8, h: int, i: int, reach: F8, k: int) -> bool:
+    """True if means h and i are within the reach of the k-th Gaussian along x and y."""
+    across: bool = abs(x[h, 0] - x[i, 0]) <= reach[k, 0]
+    along: bool = abs(x[h, 1] - x[i, 1]) <= reach[k, 1]
+    return across and along
 
 
 class GroupSums(NamedTuple):

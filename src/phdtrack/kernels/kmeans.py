@@ -333,34 +333,59 @@ def _move(
 
 @njit(**INNER)
 def _assign(
-    blocks: Blocks, box: F8, near: Candidates, centres: Centres, b: int, scratch: Scratch, sums: F8
+    blocks: Blocks,
+    box: F8,
+    near: Candidates,
+    centres: Centres,
+    moved: I8,
+    stale: I8,
+    scratch: Scratch,
+    sums: F8,
 ) -> None:
-    """Assign the particles of block b to the nearest centres, and write the sums of its entries."""
+    """Assign the particles of blocks near a centre that has ``moved`` to the nearest centres.
+
+    Writes the ``sums`` of these blocks' entries, and 1 for their centres into ``stale``.
+    """
     at, per, window = centres
     row, which, among = scratch
-    begin = near.first[b]
-    end = near.first[b + 1]
-    d = at.shape[1]
-    some, owned = _contenders(at, per, window, box, near.component, begin, end, b, among)
-    owner = 0
-    n = 0
-    if not owned:
-        n = _load(blocks.state, blocks.weight, blocks.start, box, b, row)
-        _nearest(row, which, n, at, per, window, box, among, some, b)
-        owner = which[0]
-        owned = which[0] >= 0 and _all_equal(which, n)
-    for e in range(begin, end):
-        for r in range(1 + d):
-            sums[e, r] = 0.0
-    if owned:
-        entry = among[0, owner]
-        sums[entry, 0] = blocks.mass[b]
-        for r in range(d):
-            sums[entry, 1 + r] = blocks.first[b, r]
-        return
-    for c in range(some):
-        _share(row, which, even(d), n, c)
-        _sums(row, n, sums, among[0, c])
+    first = near.first
+    component = near.component
+    state = blocks.state
+    weight = blocks.weight
+    start = blocks.start
+    mass = blocks.mass
+    block_first = blocks.first
+    d = state.shape[0]
+    for b in range(first.size - 1):
+        begin = first[b]
+        end = first[b + 1]
+        changed = 0
+        for e in range(begin, end):
+            changed |= moved[component[e]]
+        # Windows do not move: what lies in the only one that reaches a block is its centre's for
+        # good.
+        if changed == 0 or (end == begin + 1 and sums[begin, 0] > 0.0):
+            continue
+        some, owned = _contenders(at, per, window, box, component, begin, end, b, among)
+        owner = 0
+        n = 0
+        if not owned:
+            n = _load(state, weight, start, box, b, row)
+            _nearest(row, which, n, at, per, window, box, among, some, b)
+            owner = which[0]
+            owned = which[0] >= 0 and _all_equal(which, n)
+        for e in range(begin, end):
+            stale[component[e]] = 1
+            for r in range(1 + d):
+                sums[e, r] = 0.0
+        if owned:
+            sums[among[0, owner], 0] = mass[b]
+            for r in range(d):
+                sums[among[0, owner], 1 + r] = block_first[b, r]
+            continue
+        for c in range(some):
+            _share(row, which, even(d), n, c)
+            _sums(row, n, sums, among[0, c])
 
 
 @njit(**INNER)
@@ -381,25 +406,11 @@ def _settle(
     ``moved`` (k,): centres whose blocks are visited first. ``sums`` (P, 1 + d), mass and Σw·(x −
     middle) of the entries of ``near``, are kept up to date.
     """
-    first = near.first
-    component = near.component
     mass = np.empty(moved.size)
     stale = np.ones(moved.size, np.int64)
     going = True
     while going:
-        for b in range(first.size - 1):
-            begin = first[b]
-            end = first[b + 1]
-            changed = 0
-            for e in range(begin, end):
-                changed |= moved[component[e]]
-            # Windows do not move: what lies in the only one that reaches a block is its centre's
-            # for good.
-            if changed == 0 or (end == begin + 1 and sums[begin, 0] > 0.0):
-                continue
-            for e in range(begin, end):
-                stale[component[e]] = 1
-            _assign(blocks, box, near, centres, b, scratch, sums)
+        _assign(blocks, box, near, centres, moved, stale, scratch, sums)
         going = _move(box, near, sums, centres, mass, steps, moved, stale, limit)
     return mass
 
@@ -487,33 +498,6 @@ def _with_zeros(numbers: I8, size: int) -> I8:
 
 
 @njit(**INNER)
-def _owners(
-    blocks: Blocks, box: F8, near: Candidates, centres: Centres, b: int, scratch: Scratch, sums: F8
-) -> tuple[int, bool, int]:
-    """Write the contenders for block b, and assign its particles unless one of them owns all.
-
-    Returns how many contenders there are, whether one owns all, and how many particles are loaded.
-    """
-    at, per, window = centres
-    row, which, among = scratch
-    begin = near.first[b]
-    end = near.first[b + 1]
-    some = 0
-    for entry in range(begin, end):
-        if sums[entry, 0] > 0.0:
-            among[0, some] = entry
-            among[1, some] = near.component[entry]
-            some += 1
-    owned = some == 1 and sums[among[0, 0], 0] == blocks.mass[b]
-    n = 0
-    if some > 0 and not owned:
-        some, _ = _contenders(at, per, window, box, near.component, begin, end, b, among)
-        n = _load(blocks.state, blocks.weight, blocks.start, box, b, row)
-        _nearest(row, which, n, at, per, window, box, among, some, b)
-    return some, owned, n
-
-
-@njit(**INNER)
 def _products(row: Real, which: I4, n: int, c: int, out: F8) -> None:
     """Write the lower triangle of Σ w·s·sᵀ over the particles of the c-th contender."""
     e = even(len(out))
@@ -524,22 +508,44 @@ def _products(row: Real, which: I4, n: int, c: int, out: F8) -> None:
 
 
 @njit(**INNER)
+def _with_mass(sums: F8, component: I8, begin: int, end: int, among: I8) -> int:
+    """Write the entries with mass, and their centres, into ``among``; returns their number."""
+    some = 0
+    for e in range(begin, end):
+        if sums[e, 0] > 0.0:
+            among[0, some] = e
+            among[1, some] = component[e]
+            some += 1
+    return some
+
+
+@njit(**INNER)
 def _moments(
     blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratch: Scratch, sums: F8
 ) -> Gaussians:
     """Masses, means and covariances of the clusters with these ``sums``; one without particles
     keeps its centre.
     """
+    at, per, window = centres
     row, which, among = scratch
-    k, d = centres.at.shape
-    mean = centres.at.T.copy()
+    start, near_first, component = near
+    k, d = at.shape
+    mean = at.T.copy()
     mass = np.zeros(k)
     first = np.zeros((k, d))
     cov = np.zeros((k, d, d))
     part = np.empty((d, d))
     shift = np.empty(d)
-    for b in range(near.first.size - 1):
-        some, owned, n = _owners(blocks, box, near, centres, b, scratch, sums)
+    for b in range(near_first.size - 1):
+        begin = near_first[b]
+        end = near_first[b + 1]
+        n = 0
+        some = _with_mass(sums, component, begin, end, among)
+        owned = some == 1 and sums[among[0, 0], 0] == blocks.mass[b]
+        if some > 0 and not owned:
+            some, _ = _contenders(at, per, window, box, component, begin, end, b, among)
+            n = _load(blocks.state, blocks.weight, start, box, b, row)
+            _nearest(row, which, n, at, per, window, box, among, some, b)
         for c in range(some):
             entry = among[0, c]
             j = among[1, c]
@@ -556,20 +562,26 @@ def _moments(
                 one = sums[entry, 1 + r]
                 first[j, r] += one + m * shift[r]
                 for q in range(r + 1):
-                    other = sums[entry, 1 + q]
                     cov[j, r, q] += (
-                        second[r, q] + one * shift[q] + shift[r] * (other + m * shift[q])
+                        second[r, q]
+                        + one * shift[q]
+                        + shift[r] * (sums[entry, 1 + q] + m * shift[q])
                     )
-    for j in range(k):
-        if not mass[j] > 0.0:
-            continue
-        for r in range(d):
+    _centre(mass, first, mean, cov)
+    return Gaussians(mass, mean, cov)
+
+
+@njit(**INNER)
+def _centre(mass: F8, first: F8, mean: F8, cov: F8) -> None:
+    """Turn sums about the old means into means and covariances, in place."""
+    d = len(mean)
+    for j in range(mass.size):
+        for r in range(d if mass[j] > 0.0 else 0):
             first[j, r] /= mass[j]
             mean[r, j] += first[j, r]
             for q in range(r + 1):
                 cov[j, r, q] = cov[j, r, q] / mass[j] - first[j, r] * first[j, q]
                 cov[j, q, r] = cov[j, r, q]
-    return Gaussians(mass, mean, cov)
 
 
 @njit(**INNER)

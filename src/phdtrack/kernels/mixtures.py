@@ -373,73 +373,34 @@ def em_step(
     return Moments(mass, mean, cov, background, log_likelihood)
 
 
-class Learned(NamedTuple):
-    """A mixture that is being learned, a component a row: ``weight`` (k,), ``mean`` (k, d),
-    ``covariance`` and Cholesky factor ``root`` (k, d, d), ``log_peak`` (k,) of the normal density.
+@njit(**INNER)
+def _move(mean: F8, cov: F8, step: F8, floor: F8, rate: float) -> None:
+    """Move a component by a part ``rate`` of the way to a sample at mean + ``step``, in place [M09
+    (19), (20)].
     """
-
-    weight: F8
-    mean: F8
-    covariance: F8
-    root: F8
-    log_peak: F8
-
-
-@njit(**INNER)
-def _prepare(now: Learned, m: int) -> None:
-    """Factor the covariance of component m."""
-    log_det = factor(now.covariance[m], now.root[m])
-    now.log_peak[m] = -0.5 * (log_det + now.mean.shape[1] * LOG_2PI)
-
-
-@njit(**INNER)
-def _shares(now: Learned, x: F8) -> tuple[F8, float]:
-    """o_m = π_m N_m(x) / Σ_j π_j N_j(x), and the logarithm of the sum [M09 (16)]."""
-    count, d = now.mean.shape
-    step = np.empty(d)
-    y = np.empty(d)
-    share = np.empty(count)
-    for m in range(count):
-        for r in range(d):
-            step[r] = x[r] - now.mean[m, r]
-        share[m] = now.log_peak[m] - 0.5 * norm2(step, now.root[m], y) + np.log(now.weight[m])
-    top = share.max()
-    share = np.exp(share - top)
-    total = share.sum()
-    return share / total, top + math.log(total)
-
-
-@njit(**INNER)
-def _move(now: Learned, m: int, x: F8, floor: F8, rate: float) -> None:
-    """Move component m by a part ``rate`` of the way to a sample, in place [M09 (19), (20)]."""
-    d = x.size
-    mean = now.mean[m]
-    cov = now.covariance[m]
-    step = np.empty(d)
-    for r in range(d):
-        step[r] = x[r] - mean[r]
-    for r in range(d):
+    for r in range(step.size):
         for s in range(r + 1):
             scatter = step[r] * step[s] + (floor[r] if r == s else 0.0)
             cov[r, s] += rate * (scatter - cov[r, s])
             cov[s, r] = cov[r, s]
         mean[r] += rate * step[r]
-    _prepare(now, m)
 
 
 @njit(**INNER)
-def _without_negative(now: Learned) -> Learned:
+def _with_weight(left: F8, mean: F8, cov: F8, root: F8, log_peak: F8) -> tuple[F8, F8, F8, F8, F8]:
     """The components with a weight above 0."""
-    if now.weight.min() > 0.0:
-        return now
-    kept = np.flatnonzero(now.weight > 0.0)
-    return Learned(
-        now.weight[kept],
-        now.mean[kept],
-        now.covariance[kept],
-        now.root[kept],
-        now.log_peak[kept],
-    )
+    kept = np.flatnonzero(left > 0.0)
+    return left[kept], mean[kept], cov[kept], root[kept], log_peak[kept]
+
+
+@njit(**INNER)
+def _factored(cov: F8) -> tuple[F8, F8]:
+    """Cholesky factors of covariances (k, d, d), and logarithms (k,) of peak densities."""
+    root = np.zeros(cov.shape)
+    log_peak = np.empty(len(cov))
+    for m in range(len(cov)):
+        log_peak[m] = -0.5 * (factor(cov[m], root[m]) + cov.shape[1] * LOG_2PI)
+    return root, log_peak
 
 
 @njit(**INNER)
@@ -463,36 +424,45 @@ def recursive_em(
     share ``uniform`` at first, which is not among the weights; these sum to 1. ``order`` (K,):
     indices of the ``samples`` (n, d) in the order in which they are taken; they may repeat.
     """
-    now = Learned(
-        mixture.weight.copy(),
-        np.ascontiguousarray(mixture.mean.T),
-        mixture.covariance.copy(),
-        np.zeros(mixture.covariance.shape),
-        np.empty(mixture.weight.size),
-    )
+    left = mixture.weight.copy()
+    mean = mixture.mean.T.copy()
+    cov = mixture.covariance.copy()
+    d = mean.shape[1]
     late = 0.0
-    for m in range(now.weight.size):
-        _prepare(now, m)
+    root, log_peak = _factored(cov)
+    step = np.empty(d)
+    y = np.empty(d)
     for k in range(order.size):
         x = samples[order[k]]
-        count = now.weight.size
-        share, log_density = _shares(now, x)
+        count = left.size
+        # o_m = π_m N_m(x) / Σ_j π_j N_j(x) [M09 (16)]
+        share = np.empty(count)
+        for m in range(count):
+            for r in range(d):
+                step[r] = x[r] - mean[m, r]
+            share[m] = log_peak[m] - 0.5 * norm2(step, root[m], y) + np.log(left[m])
+        top = share.max()
+        share = np.exp(share - top)
+        total = share.sum()
+        share /= total
         # The probability that the sample came from the uniform density, and that density's share.
-        ratio = math.exp(min(700.0, log_density + rule.log_volume)) * (1.0 - uniform) / uniform
+        log_ratio = min(700.0, top + math.log(total) + rule.log_volume)
+        ratio = math.exp(log_ratio) * (1.0 - uniform) / uniform
         flat = 1.0 / (1.0 + ratio)
         beta, prior, late = _rates(rule, k, count, late)
         uniform = max(rule.min_uniform, uniform + beta * (flat - uniform))
         uniform = min(1.0 - rule.min_uniform, uniform)
         if k >= rule.steady:
             beta *= 1.0 - flat
-        left = now.weight
         for m in range(count):
             moved = min(1.0, beta * share[m] / left[m])
             left[m] += beta * ((share[m] - prior) / (1.0 - count * prior) - left[m])
             if moved > NEGLIGIBLE:
-                _move(now, m, x, rule.floor, moved)
-        now = _without_negative(now)
-        total = now.weight.sum()
-        for m in range(now.weight.size):
-            now.weight[m] /= total
-    return Gaussians(now.weight, np.ascontiguousarray(now.mean.T), now.covariance), uniform
+                for r in range(d):
+                    step[r] = x[r] - mean[m, r]
+                _move(mean[m], cov[m], step, rule.floor, moved)
+                log_peak[m] = -0.5 * (factor(cov[m], root[m]) + d * LOG_2PI)
+        if left.min() <= 0.0:
+            left, mean, cov, root, log_peak = _with_weight(left, mean, cov, root, log_peak)
+        left /= left.sum()
+    return Gaussians(left, mean.T.copy(), cov), uniform

@@ -71,17 +71,16 @@ def summarise(state: Real, weight: Real, start: I8) -> Blocks:
     row = np.zeros((2 * even + 1, widest), state.dtype)
     zero = np.zeros(d)
     for b in range(blocks):
-        begin = start[b]
         n = start[b + 1] - start[b]
         if n == 0:
             continue
-        full = load_steps(state, begin, n, zero, row)
+        full = load_steps(state, start[b], n, zero, row)
         _centre(row, n, full, low[b], high[b], middle[b])
         mass[b] = n * unit
         by = 0
         if weight.size > 1:
             by = even + 1
-            load_row(row, even, n, weight, begin)
+            load_row(row, even, n, weight, start[b])
             mass[b] = row_sum(row, even, full)
             weigh(row, even, full, d)
         for r in range(d):
