@@ -64,7 +64,7 @@ class Sample(NamedTuple):
 
     option: I8
     state: I8
-    taken: I8
+    owner: I8
 
 
 @njit(**ENTRY)
@@ -157,11 +157,24 @@ def _neighbours(candidate: I8, member: I8, box: F8, count: int) -> tuple[I8, I8]
 
 
 @njit(**INNER)
-def _free(o: int, a: int, b: int, can: Options, now: Sample) -> float:
-    """Weight of an option for candidates a or b; 0 if its measurement belongs to another target."""
-    j = can.measurement[o]
-    free = j < 0 or now.taken[j] < 0 or now.taken[j] == a or now.taken[j] == b
-    weight: float = can.total[o] if free else 0.0
+def _free(j: int, a: int, b: int, owner: I8) -> bool:
+    """True if measurement j (−1: none) has no owner except candidates a and b."""
+    return j < 0 or owner[j] < 0 or owner[j] == a or owner[j] == b
+
+
+@njit(**INNER)
+def _weight(o: int, p: int, a: int, b: int, measurement: I8, total: F8, owner: I8) -> float:
+    """Weight of option o for candidate a, and of option p for candidate b unless b < 0; 0 if they
+    are not free.
+    """
+    if not _free(measurement[o], a, b, owner):
+        return 0.0
+    weight: float = total[o]
+    if b >= 0:
+        same = measurement[o] >= 0 and measurement[o] == measurement[p]
+        if same or not _free(measurement[p], a, b, owner):
+            return 0.0
+        weight *= total[p]
     return weight
 
 
@@ -180,8 +193,11 @@ def _choose(
     a: int, b: int, begin: int, can: Options, now: Sample, rng: np.random.Generator
 ) -> tuple[int, int]:
     """Free options of ``a`` from ``begin`` on and of ``b``, by weight; without ``b`` (−1) the
-    second is −1.
+    second is of no meaning.
     """
+    measurement = can.measurement
+    total = can.total
+    owner = now.owner
     end = can.first[a + 1]
     chosen = -1
     other = -1
@@ -193,11 +209,11 @@ def _choose(
         high = can.first[b + 1]
     for o in range(begin, end):
         for p in range(low, high):
-            reached += _weight(o, p, a, b, can, now)
+            reached += _weight(o, p, a, b, measurement, total, owner)
     aim = rng.random() * reached
     for o in range(begin, end):
         for p in range(low, high):
-            weight = _weight(o, p, a, b, can, now)
+            weight = _weight(o, p, a, b, measurement, total, owner)
             if weight > 0.0:
                 chosen = o
                 other = p
@@ -208,25 +224,11 @@ def _choose(
 
 
 @njit(**INNER)
-def _weight(o: int, p: int, a: int, b: int, can: Options, now: Sample) -> float:
-    """Weight of option o for candidate a, and of option p for candidate b unless b < 0; 0 if one is
-    not free.
-    """
-    if b < 0:
-        weight: float = _free(o, a, a, can, now)
-        return weight
-    if can.measurement[o] >= 0 and can.measurement[o] == can.measurement[p]:
+def _overlap(box: F8, i: int, k: int) -> float:
+    """Overlap of states i and k (−1: none)."""
+    if i < 0 or k < 0:
         return 0.0
-    both: float = _free(o, a, b, can, now) * _free(p, a, b, can, now)
-    return both
-
-
-@njit(**INNER)
-def _overlap_with(i: int, c: int, can: Options, now: Sample) -> float:
-    """Overlap of state i (−1: none) and the present state of candidate c."""
-    if i < 0 or now.state[c] < 0:
-        return 0.0
-    overlap: float = overlap_of(can.box, i, can.box, now.state[c])
+    overlap: float = overlap_of(box, i, box, k)
     return overlap
 
 
@@ -235,9 +237,10 @@ def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
     """Overlaps of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: none) with all other targets
     and each other.
     """
-    total = 0.0
-    if i >= 0 and k >= 0:
-        total = overlap_of(can.box, i, can.box, k)
+    box = can.box
+    near = can.near
+    state = now.state
+    total = _overlap(box, i, k)
     p = can.near_start[a]
     p_end = can.near_start[a + 1]
     q = 0 * a
@@ -247,30 +250,30 @@ def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
         q_end = can.near_start[b + 1]
     while p < p_end or q < q_end:
         # The next candidate that is near one of the two.
-        if q == q_end or (p < p_end and can.near[p] <= can.near[q]):
-            c = can.near[p]
+        if q == q_end or (p < p_end and near[p] <= near[q]):
+            c = near[p]
         else:
-            c = can.near[q]
+            c = near[q]
         other = c != a and c != b
-        if p < p_end and can.near[p] == c:
+        if p < p_end and near[p] == c:
             if other:
-                total += _overlap_with(i, c, can, now)
+                total += _overlap(box, i, state[c])
             p += 1
-        if q < q_end and can.near[q] == c:
+        if q < q_end and near[q] == c:
             if other:
-                total += _overlap_with(k, c, can, now)
+                total += _overlap(box, k, state[c])
             q += 1
     return total
 
 
 @njit(**INNER)
-def _take(c: int, o: int, i: int, can: Options, now: Sample) -> None:
+def _assign(c: int, o: int, i: int, can: Options, now: Sample) -> None:
     """Give candidate ``c`` option ``o`` and state ``i``."""
     now.option[c] = o
     now.state[c] = i
     j = can.measurement[o]
     if j >= 0:
-        now.taken[j] = c
+        now.owner[j] = c
 
 
 @njit(**INNER)
@@ -299,10 +302,10 @@ def _redraw(
             return
     for c in (a, b):
         if c >= 0 and can.measurement[now.option[c]] >= 0:
-            now.taken[can.measurement[now.option[c]]] = -1
-    _take(a, o, i, can, now)
+            now.owner[can.measurement[now.option[c]]] = -1
+    _assign(a, o, i, can, now)
     if b >= 0:
-        _take(b, p, k, can, now)
+        _assign(b, p, k, can, now)
 
 
 @njit(**INNER)
@@ -315,7 +318,7 @@ def _chance(
     exists = 0.0
     absence = can.first[c]
     for o in range(absence + 1, can.first[c + 1]):
-        exists += _free(o, c, c, can, now)
+        exists += _weight(o, 0, c, -1, can.measurement, can.total, now.owner)
     if exists <= 0.0:
         return can.member[can.start[absence + 1]], 0.0
     i = now.state[c]
