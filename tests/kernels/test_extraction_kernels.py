@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.filters.extract import _heavy_enough
+from phdtrack.filters.extract import heavy_enough
 from phdtrack.filters.particle_blocks import cut
 from phdtrack.kernels.mixtures import Candidates, Gaussians, em_step, nothing_known, one_block
 from phdtrack.kernels.particle_blocks import block_moments, claim, reaching, summarise, unreached
@@ -121,7 +121,7 @@ def test_light_clusters_are_joined_and_the_heavy_enough_kept(seed: int, k: int):
     weight = rng.uniform(0, 1 / 15, 60)
     mass, mean, cov = twin.moments(x, twin.members(labels, weight, k), k)
     noise = Noise().noise
-    found = _heavy_enough(Gaussians(mass, mean, cov), Noise(), 0.6, 1.5)
+    found = heavy_enough(Gaussians(mass, mean, cov), Noise(), 0.6, 1.5)
     root = twin.join_light(mass, mean, noise, 0.6, 1.5)
     want = twin.moments(x, twin.members(root[labels], weight, k), k)
     for mine, exact in zip(found, want, strict=True):

@@ -126,7 +126,7 @@ class KMeans(_Extraction):
         found = kmeans(
             blocks, np.ascontiguousarray(centres.T), scales, Rule(REACH, split, self.iterations)
         )
-        heavy = _heavy_enough(found, sensor, lightest, split)
+        heavy = heavy_enough(found, sensor, lightest, split)
         return finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
 
 
@@ -298,7 +298,7 @@ def _windows(centres: F8, sensor: Sensor) -> tuple[F8, F8]:
     return centres[:2] - reach, centres[:2] + reach
 
 
-def _heavy_enough(found: Gaussians, sensor: Sensor, lightest: float, split: float) -> Gaussians:
+def heavy_enough(found: Gaussians, sensor: Sensor, lightest: float, split: float) -> Gaussians:
     """The clusters of at least the mass ``lightest``, after light ones that are near each other
     have been joined.
 

@@ -240,7 +240,7 @@ def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
     box = can.box
     near = can.near
     state = now.state
-    total = _overlap(box, i, k)
+    total: float = _overlap(box, i, k)
     p = can.near_start[a]
     p_end = can.near_start[a + 1]
     q = 0 * a
