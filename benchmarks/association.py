@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.timing import Spread
 from phdtrack import config
 from phdtrack.protocols import AnyStages
-from phdtrack.types import Estimates, SequenceInfo
+from phdtrack.types import Detections, Estimates, SequenceInfo
 
 RATE = 25.0
 P_SEEN = 0.95
@@ -82,8 +82,9 @@ def measure(targets: int, frames: int = 0, seed: int = 1, clutter: float = -1.0)
     states = stream(stages, targets, frames, 0.1 * targets if clutter < 0 else clutter, rng)
     for number, estimates in enumerate(states, start=1):
         z = estimates.state[list(model.sensor.observed)]
+        seen = Detections.of(estimates.xyxy)
         began = time.perf_counter()
-        state, _ = matching.extend(state, estimates, z, number, 1.0, model)
+        state, _ = matching.extend(state, estimates, z, seen, number, 1.0, model)
         spent.append(time.perf_counter() - began)
     settled = spent[min(SETTLED, frames // 2) :]
     sizes = {"targets": targets, "states": len(states[-1]), "window": len(state.window.since)}

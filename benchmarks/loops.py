@@ -55,7 +55,7 @@ class Ours:
         extracted = clock()
         if self.link:
             self.association, _ = stages.associator.extend(
-                self.association, found, z, number, model.rate / RATE, model
+                self.association, found, z, detections, number, model.rate / RATE, model
             )
         ended = clock()
         return (

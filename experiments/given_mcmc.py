@@ -109,7 +109,7 @@ class GivenMCMC(Filter[JointSamples]):
         )
         number = np.eye(1, n + 1, n)[0]
         return samples, UpdateInfo(
-            float(n), float(len(new)), float(n), np.ones(n), np.zeros(n), 0, number
+            float(n), float(len(new)), float(n), np.ones(n), np.zeros(n), np.zeros(n), 0, number
         )
 
     def _sampled(self, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator) -> F8:

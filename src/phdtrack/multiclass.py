@@ -3,7 +3,7 @@ pipeline of its own.
 
 A detection is given to its class only, so that no track goes from one class to another. A class is
 followed from the frame in which it is first seen, with the state that it would have had if it had
-been tracked alone: the empty frames before (the last `_REPLAYED`) are gone through again. Where all
+been tracked alone: the empty frames before (the last `_REPLAYED`) are gone through again. If all
 detections are of one class, this is `pipeline.advance`.
 
 Detectors confuse some classes, as car and truck. Those are tracked together, and the class of a
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import copy
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -26,18 +26,18 @@ from phdtrack import pipeline
 from phdtrack.detect.convert import MAX_CLASSES, LeftOut, Limits
 from phdtrack.kernels.grid import uncrowded
 from phdtrack.pipeline import TrackingState
-from phdtrack.protocols import AnyStages, FrameMemory
+from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, STILL, Bool, Detections, Step, Tracks
 
-# Empty frames that a class seen for the first time has been through: what is learned of them is the
-# same with more.
+# Empty frames that a class seen for the first time has been through: more teach nothing else.
 _REPLAYED = 250
-# Frames of which is remembered whose detections they were; a loop may be endless.
-_MOST_KEPT = 100_000
-# Identities that are remembered, those seen last.
-_MOST_NAMED = 10_000
+# Sums of scores that are kept, of the identities seen last; a loop may be endless.
+_MAX_VOTES = 10_000
 # A score counts as a probability; one that is none counts a little.
 _LEAST_SCORE = 0.01
+
+# Sums of scores by identity and class.
+Votes = dict[tuple[int, int], float]
 
 
 class Seed(NamedTuple):
@@ -50,7 +50,7 @@ class Seed(NamedTuple):
 
     @classmethod
     def of(cls, rng: np.random.Generator) -> Seed:
-        """Of a generator."""
+        """The state of a generator."""
         held: Any = rng.bit_generator.state
         return cls(
             held["state"]["state"], held["state"]["inc"], held["has_uint32"], held["uinteger"]
@@ -71,23 +71,21 @@ class Seed(NamedTuple):
 
 
 class SavedPipeline(NamedTuple):
-    """What a state holds of a class; see `_ClassPipeline`."""
+    """What a saved state holds of a class; see `_ClassPipeline`."""
 
     seed: Seed
     state: TrackingState
     together: bool
-    rows: dict[int, I8]
-    labels: dict[int, tuple[I8, F8]]
-    sums: dict[tuple[int, int], float]
+    waiting: tuple[tuple[int, I8, I8, F8], ...]
+    votes: dict[tuple[int, int], float]
+    highest: int
 
 
 class SavedPipelines(NamedTuple):
-    """What a state holds of all classes, besides the lanes of ``kinds``; see `ClassPipelines`."""
+    """What a saved state holds besides the pipelines of the ``classes``; see `ClassPipelines`."""
 
-    kinds: tuple[int, ...]
+    classes: tuple[int, ...]
     past: tuple[tuple[int, float, F8, bool], ...]
-    names: dict[tuple[int, int], int]
-    alone: int
     highest: int
 
 
@@ -103,7 +101,7 @@ class ClassSettings:
     only : the classes that are tracked; empty: all.
     least : by class the least score, and the least length of a box's longer side in pixels, that
         are tracked.
-    apart : False: classes are not looked at.
+    apart : False: classes make no difference.
     names : what they are called.
     limits : how many detections a frame may have.
     """
@@ -117,69 +115,80 @@ class ClassSettings:
     names: Mapping[int, str] = field(default_factory=dict)
     limits: Limits = field(default_factory=Limits)
 
-    def stages(self, kind: int) -> AnyStages:
+    def stages(self, label: int) -> AnyStages:
         """The stages of a class."""
-        return self.own.get(kind, self.usual)
+        return self.own.get(label, self.usual)
 
-    def of(self, detections: Detections) -> I8:
-        """(N,) the class that each detection is tracked as: of those that are tracked together the
-        first.
+    def tracked_as(self, detections: Detections) -> I8:
+        """(N,) the class that each detection is tracked as: the first of those that are tracked
+        together.
         """
-        if self.apart:
-            label = detections.class_id
-        else:
-            label = np.zeros_like(detections.class_id)
-        for one, other in self.first.items() if self.apart else ():
-            label = np.where(detections.class_id == one, other, label)
-        return label
+        if not self.apart:
+            return np.zeros_like(detections.class_id)
+        labels = detections.class_id
+        for label, first in self.first.items():
+            labels = np.where(detections.class_id == label, first, labels)
+        return labels
 
-    def wanted(self, detections: Detections) -> Bool:
-        """(N,) whether each detection is tracked."""
-        label = detections.class_id
+    def selected(self, detections: Detections) -> Bool:
+        """(N,) whether each detection is of a class that is tracked, with enough score and size."""
+        labels = detections.class_id
         good = np.ones(len(detections), np.bool_)
         if self.only:
-            good &= np.isin(label, self.only)
-        for one, (score, side) in self.least.items():
+            good &= np.isin(labels, self.only)
+        for label, (score, side) in self.least.items():
             size = (detections.xyxy[:, 2:] - detections.xyxy[:, :2]).max(axis=1, initial=0.0)
-            good &= (label != one) | ((detections.confidence >= score) & (size >= side))
+            good &= (labels != label) | ((detections.confidence >= score) & (size >= side))
         return good
 
-    def taken(self, found: Detections, seen: Collection[int] = ()) -> tuple[I8, LeftOut]:
-        """(k,) which detections are tracked, and how many others there are; ``seen`` are the
-        classes of earlier frames.
-        """
-        rows, out = self.limits.plausible(found)
-        wanted = rows[self.wanted(found.select(rows))]
-        known = wanted[self._among_classes(found.select(wanted), seen)]
-        out = out._replace(unwanted=len(rows) - len(wanted), classes=len(wanted) - len(known))
-        wanted = known
-        apart = wanted[self._uncrowded(found.select(wanted))]
-        best = apart[self.limits.best(found.confidence[apart])]
-        return best, out._replace(crowded=len(wanted) - len(apart), surplus=len(apart) - len(best))
+    def within_limits(
+        self, detections: Detections, known: Collection[int] = ()
+    ) -> tuple[Detections, LeftOut]:
+        """The detections that are tracked, and how many others there are.
 
-    def _among_classes(self, found: Detections, seen: Collection[int]) -> Bool:
-        """(N,) whether the class of each detection is seen already, or one of those that there is
-        room for.
+        Parameters
+        ----------
+        detections : of a frame.
+        known : the classes of earlier frames.
         """
-        label = self.of(found)
-        best = dict.fromkeys(label[np.argsort(-found.confidence, kind="stable")].tolist())
-        known = [*seen, *(kind for kind in best if kind not in seen)]
-        if len(known) <= MAX_CLASSES:
-            return np.ones(len(found), np.bool_)
-        return np.isin(label, known[:MAX_CLASSES])
+        rows, out = self.limits.plausible(detections)
+        plausible = detections if len(rows) == len(detections) else detections.select(rows)
+        selected = _only(plausible, self.selected(plausible))
+        of_classes = _only(selected, self._among_classes(selected, known))
+        apart = _only(of_classes, self._uncrowded(of_classes))
+        best = apart
+        if len(apart) > self.limits.max_detections:
+            best = apart.select(self.limits.best(apart.confidence))
+        return best, out._replace(
+            unwanted=len(plausible) - len(selected),
+            classes=len(selected) - len(of_classes),
+            crowded=len(of_classes) - len(apart),
+            surplus=len(apart) - len(best),
+        )
 
-    def _uncrowded(self, found: Detections) -> Bool:
+    def _among_classes(self, detections: Detections, known: Collection[int]) -> Bool:
+        """(N,) whether the class of each detection is known, or one of those that there is room
+        for.
+        """
+        labels = self.tracked_as(detections)
+        best = dict.fromkeys(labels[np.argsort(-detections.confidence, kind="stable")].tolist())
+        every = [*known, *(label for label in best if label not in known)]
+        if len(every) <= MAX_CLASSES:
+            return np.ones(len(detections), np.bool_)
+        return np.isin(labels, every[:MAX_CLASSES])
+
+    def _uncrowded(self, detections: Detections) -> Bool:
         """(N,) whether each detection is one of the best in its place, of those of its class."""
         most = self.limits.max_in_one_place
-        kept = np.ones(len(found), np.bool_)
-        if len(found) <= most:
+        kept = np.ones(len(detections), np.bool_)
+        if len(detections) <= most:
             return kept
-        label = self.of(found)
-        for kind in np.unique(label).tolist():
-            order = np.flatnonzero(label == kind)
-            order = order[np.argsort(-found.confidence[order], kind="stable")]
-            sensor = self.stages(kind).model.sensor
-            z = sensor.measure(found.select(order))
+        labels = self.tracked_as(detections)
+        for label in np.unique(labels).tolist():
+            order = np.flatnonzero(labels == label)
+            order = order[np.argsort(-detections.confidence[order], kind="stable")]
+            sensor = self.stages(label).model.sensor
+            z = sensor.measure(detections.select(order))
             reach = np.subtract(*sensor.gate(z)[::-1]) / 2
             # A foot above the horizon is in no place.
             known = np.isfinite(z).all(axis=0) & np.isfinite(reach).all(axis=0)
@@ -191,68 +200,88 @@ class ClassSettings:
 
 @dataclass(slots=True)
 class _ClassPipeline:
-    """What is held of a class, or of those that are tracked together.
+    """The pipeline of a class, or of those that are tracked together.
 
-    ``rows``: in frames with other detections, which of them were its; ``labels``: classes and
-    scores in a frame, of several classes only; ``sums``: of scores, by online identity and class.
+    ``waiting`` and ``votes`` are of several classes only: number, rows, classes and scores of the
+    frames whose online rows are still to come, and the sums of scores of the online tracks.
+    ``highest`` is the highest identity that it has given or must not give.
     """
 
     stages: AnyStages
     rng: np.random.Generator
     state: TrackingState
     together: bool = False
-    rows: dict[int, I8] = field(default_factory=dict)
-    labels: dict[int, tuple[I8, F8]] = field(default_factory=dict)
-    sums: dict[tuple[int, int], float] = field(default_factory=dict)
+    waiting: tuple[tuple[int, I8, I8, F8], ...] = ()
+    votes: Votes = field(default_factory=dict)
+    highest: int = 0
 
     @classmethod
     def begin(cls, stages: AnyStages, seed: int, *, together: bool = False) -> _ClassPipeline:
-        """Before the first frame."""
+        """The pipeline before the first frame."""
         rng = np.random.default_rng(seed)
         return cls(stages, rng, pipeline.start(stages, rng), together)
 
-    def advance(self, found: Detections, number: int, time: float, warp: F8) -> Step:
-        """What a frame brought."""
-        self.state, step = pipeline.advance(
-            self.stages, self.state, found, number, time, self.rng, warp
-        )
-        if self.together and len(found):
-            remember(
-                self.labels, number, (found.class_id, np.clip(found.confidence, _LEAST_SCORE, 1.0))
-            )
-        return step
+    def advance(
+        self, label: int, detections: Detections, number: int, time: float, warp: F8, highest: int
+    ) -> Step:
+        """The step of a frame, whose tracks have classes.
 
-    @property
-    def oldest(self) -> int:
-        """The number of the first frame that is remembered; 0 if that is not known."""
-        association = self.state.association
-        return association.oldest_frame if isinstance(association, FrameMemory) else 0
-
-    def votes(
-        self, rows: Tracks, sums: dict[tuple[int, int], float]
-    ) -> dict[tuple[int, int], float]:
-        """``sums`` of scores by identity and class, with those of the detections that the rows rest
-        on.
+        Parameters
+        ----------
+        label : the class.
+        detections, number, time, warp : see `pipeline.advance`.
+        highest : new tracks have higher identities.
         """
-        places = zip(
-            rows.frame.tolist(), rows.identity.tolist(), rows.detection.tolist(), strict=True
+        if self.highest < highest:
+            associator = self.stages.associator
+            numbered = associator.numbered_after(self.state.association, highest)
+            self.state = replace(self.state, association=numbered)
+            self.highest = highest
+        self.state, step = pipeline.advance(
+            self.stages, self.state, detections, number, time, self.rng, warp
         )
-        for frame, identity, detection in places:
-            if detection >= 0 and frame in self.labels:
-                label, score = self.labels[frame]
-                key = identity, int(label[detection])
-                # Those that are used come last.
-                sums[key] = sums.pop(key, 0.0) + float(score[detection])
-        return sums
-
-    def classed(self, rows: Tracks, kind: int, sums: Mapping[tuple[int, int], float]) -> I8:
-        """(M,) the class of each row."""
+        rows = step.tracks
+        self.highest = max(self.highest, int(rows.identity.max(initial=0)))
         if not self.together:
-            return np.full(len(rows), kind)
-        best: dict[int, tuple[float, int]] = {}
-        for (identity, label), total in sums.items():
-            best[identity] = max(best.get(identity, (0.0, kind)), (total, label))
-        return np.array([best.get(one, (0.0, kind))[1] for one in rows.identity.tolist()], np.int64)
+            return replace(step, tracks=_with_class(rows, label))
+        frame = (number, detections.row, detections.class_id, detections.confidence)
+        self.waiting = (*self.waiting, frame)
+        self._count(rows, self.votes)
+        while len(self.votes) > _MAX_VOTES:
+            del self.votes[next(iter(self.votes))]
+        # Without tracks no row tells which frames are done; those that are forgotten are.
+        oldest = self.stages.associator.oldest(self.state.association)
+        until = max(int(rows.frame.max(initial=0)), oldest - 1)
+        self.waiting = tuple(frame for frame in self.waiting if frame[0] > until)
+        return replace(step, tracks=_with_best_class(rows, label, self.votes))
+
+    def flush(self, label: int) -> Tracks:
+        """The online rows that the output delay holds back, with classes."""
+        rows = pipeline.flush(self.stages, self.state)
+        if not self.together:
+            return _with_class(rows, label)
+        votes = dict(self.votes)
+        self._count(rows, votes)
+        return _with_best_class(rows, label, votes)
+
+    def finish(self, label: int) -> Tracks:
+        """The corrected tracks, with classes."""
+        rows = pipeline.finish(self.stages, self.state)
+        if not self.together:
+            return _with_class(rows, label)
+        seen = self.stages.associator.measurements(self.state.association)
+        votes: Votes = {}
+        detected = np.flatnonzero(rows.detection >= 0)
+        column = seen.columns(rows)[detected]
+        _vote(rows.identity[detected], seen.class_id[column], seen.score[column], votes)
+        return _with_best_class(rows, label, votes)
+
+    def _count(self, rows: Tracks, votes: Votes) -> None:
+        """Add the scores of the detections that online rows rest on to the votes."""
+        for number, row, labels, score in self.waiting:
+            here = np.flatnonzero((rows.frame == number) & (rows.detection >= 0))
+            column = np.searchsorted(row, rows.detection[here])
+            _vote(rows.identity[here], labels[column], score[column], votes)
 
 
 class ClassPipelines:
@@ -260,49 +289,51 @@ class ClassPipelines:
 
     Parameters
     ----------
-    kinds : how classes are tracked.
+    classes : how classes are tracked.
     seed : of each pipeline's randomness.
     """
 
-    def __init__(self, kinds: ClassSettings, seed: int) -> None:
-        self.kinds = kinds
+    def __init__(self, classes: ClassSettings, seed: int) -> None:
+        self.classes = classes
         self._seed = seed
-        self._lanes: dict[int, _ClassPipeline] = {}
+        self._pipelines: dict[int, _ClassPipeline] = {}
         # Follows the frames before the first detection.
-        self._blank = _ClassPipeline.begin(kinds.usual, seed)
+        self._blank = _ClassPipeline.begin(classes.usual, seed)
         self._past: deque[tuple[int, float, F8, bool]] = deque(maxlen=_REPLAYED)
-        # Identities of a class in terms of those of all. Up to `_alone` the first class had them
-        # for itself.
-        self._names: dict[tuple[int, int], int] = {}
-        self._alone = self.highest = 0  # the highest that was given online
+        # Identities are one's own among all classes; new ones are higher than this.
+        self.highest = 0
+
+    @property
+    def _all(self) -> dict[int, _ClassPipeline]:
+        """The pipelines by class; before the first detection the one that follows empty frames."""
+        return self._pipelines or {0: self._blank}
 
     @property
     def state(self) -> TrackingState:
         """The state of the class that was seen first."""
-        return next(iter(self._lanes.values()), self._blank).state
+        return next(iter(self._all.values())).state
 
     @property
     def states(self) -> dict[int, TrackingState]:
         """The states of all classes."""
-        return {kind: lane.state for kind, lane in self._lanes.items()}
+        return {label: one.state for label, one in self._pipelines.items()}
 
     @property
     def oldest(self) -> int:
         """The number of the first frame that any of them remembers."""
-        return min(lane.oldest for lane in self._lanes.values() or (self._blank,))
+        return min(
+            one.stages.associator.oldest(one.state.association) for one in self._all.values()
+        )
 
     def skip(self, count: int) -> None:
         """Leave out as many identities, as another run may have given them."""
         self.highest += count
-        if len(self._lanes) <= 1:
-            lane = next(iter(self._lanes.values()), self._blank)
-            lane.state = replace(lane.state, association=_skipped(lane.state.association, count))
 
     @property
     def drawn(self) -> bool:
         """Whether anything was drawn at random."""
         fresh = np.random.default_rng(self._seed).bit_generator
-        used = [lane.rng.bit_generator for lane in (*self._lanes.values(), self._blank)]
+        used = [one.rng.bit_generator for one in (*self._pipelines.values(), self._blank)]
         # What a generator has drawn moves its state on; what it has spawned it counts.
         return any(
             one.state != fresh.state or getattr(one.seed_seq, "n_children_spawned", 0) > 0
@@ -310,49 +341,46 @@ class ClassPipelines:
         )
 
     def advance(self, detections: Detections, number: int, time: float, warp: F8 = STILL) -> Step:
-        """Everything that a frame brought, of all classes; identities are one's own among all of
-        them.
+        """Everything that a frame brought, of all classes.
 
         Parameters
         ----------
-        detections, number, time, warp : as `pipeline.advance` has them, which says what is raised.
+        detections, number, time, warp : see `pipeline.advance`, also for errors.
         """
-        label = self.kinds.of(detections)
-        gone_through = dict[int, _ClassPipeline]()
-        for kind in np.unique(label).tolist():
-            if kind not in self._lanes:
-                self._open(kind, gone_through)
-        lanes = self._lanes or {0: self._blank}
-        if len(lanes) == 1:
-            ((kind, lane),) = lanes.items()
-            step = lane.advance(detections, number, time, warp)
-            tracks = self._given(kind, lane, step.tracks)
-        else:
-            index = {kind: np.flatnonzero(label == kind) for kind in lanes}
-            steps = {
-                k: lane.advance(detections.select(index[k]), number, time, warp)
-                for k, lane in lanes.items()
-            }
-            for kind, lane in lanes.items():
-                remember(lane.rows, number, index[kind])
-            tracks = Tracks.concatenate(
-                [self._given(kind, lanes[kind], one.tracks) for kind, one in steps.items()]
-            )
-            step = pipeline.merged(list(steps.values()), list(index.values()), detections)
-        for lane in lanes.values():
-            if lane.rows or lane.labels:
-                forget(lane.rows, lane.oldest)
-                forget(lane.labels, lane.oldest)
+        labels = self.classes.tracked_as(detections)
+        self._open(np.unique(labels).tolist())
+        pipelines = self._all
+        steps = list[Step]()
+        for label, one in pipelines.items():
+            own = detections if len(pipelines) == 1 else detections.select(labels == label)
+            steps.append(one.advance(label, own, number, time, warp, self.highest))
+            self.highest = one.highest
         self._past.append((number, time, warp, detections.observed))
-        return replace(step, tracks=tracks)
+        if len(steps) == 1:
+            return steps[0]
+        tracks = Tracks.concatenate([step.tracks for step in steps])
+        return replace(pipeline.merged(steps, detections), tracks=tracks)
 
     def flush(self) -> Tracks:
-        """The online rows that the output delay holds back."""
-        lanes = self._lanes or {0: self._blank}
+        """The online rows that the output delay holds back, with the identities that later frames
+        would give them.
+        """
+        parts = [one.flush(label) for label, one in self._all.items()]
+        if len(parts) == 1:
+            return parts[0]
+        fresh = list[tuple[int, int, int]]()
+        for k, rows in enumerate(parts):
+            identity, first = np.unique(rows.identity, return_index=True)
+            new = identity > self.highest
+            frames = rows.frame[first[new]].tolist()
+            fresh += [(f, k, i) for f, i in zip(frames, identity[new].tolist(), strict=True)]
+        names = {(k, i): self.highest + n for n, (_, k, i) in enumerate(sorted(fresh), start=1)}
         return Tracks.concatenate(
             [
-                self._given(k, lane, pipeline.flush(lane.stages, lane.state))
-                for k, lane in lanes.items()
+                replace(
+                    rows, identity=_integers(names.get((k, i), i) for i in rows.identity.tolist())
+                )
+                for k, rows in enumerate(parts)
             ]
         )
 
@@ -360,14 +388,11 @@ class ClassPipelines:
         """The corrected tracks of all classes, with identities from 1 in the order of their first
         rows.
         """
-        lanes = self._lanes or {0: self._blank}
         parts = list[Tracks]()
         used = 0
-        for kind, lane in lanes.items():
-            rows = pipeline.finish(lane.stages, lane.state)
-            label = lane.classed(rows, kind, lane.votes(rows, {}) if lane.together else {})
-            rows = input_rows(rows, lane.rows)
-            parts.append(replace(rows, identity=rows.identity + used, class_id=label))
+        for label, one in self._all.items():
+            rows = one.finish(label)
+            parts.append(replace(rows, identity=rows.identity + used))
             used += int(rows.identity.max(initial=0))
         if len(parts) == 1:
             return parts[0]
@@ -379,138 +404,95 @@ class ClassPipelines:
 
     def saved(self) -> tuple[SavedPipelines, tuple[SavedPipeline, ...]]:
         """Everything that decides what comes next: values that no later frame changes."""
-        whole = SavedPipelines(
-            tuple(self._lanes), tuple(self._past), dict(self._names), self._alone, self.highest
-        )
-        return whole, tuple(_saved(lane) for lane in self._lanes.values() or (self._blank,))
+        whole = SavedPipelines(tuple(self._pipelines), tuple(self._past), self.highest)
+        return whole, tuple(_saved(one) for one in self._all.values())
 
-    def restore(self, whole: Any, lanes: Any, where: str) -> None:
-        """Go on from what was `saved`, packed and read again. Raises `InputError` where it is of
+    def restore(self, whole: Any, packed: Any, where: str) -> None:
+        """Continue from what was `saved`, packed and read again. Raises `InputError` if it is of
         other settings.
         """
         from phdtrack.state import unpack
 
-        found: SavedPipelines = unpack(whole, SavedPipelines, where=where)
-        kinds, past, self._names, self._alone, self.highest = found
-        made = [_restored(self.kinds.stages(k) if kinds else self.kinds.usual, one, f"{where}, class {k}")
-                for k, one in zip(kinds or (0,), lanes, strict=True)]  # fmt: skip
+        held: SavedPipelines = unpack(whole, SavedPipelines, where=where)
+        made = list[_ClassPipeline]()
+        for k, one in enumerate(packed):
+            stages = self.classes.usual
+            if held.classes:
+                stages = self.classes.stages(held.classes[k])
+            made.append(_restored(stages, one, f"{where}, pipeline {k}"))
         self._blank = made[0]
-        self._lanes = dict(zip(kinds, made, strict=False))
-        self._past = deque(past, maxlen=_REPLAYED)
+        self._pipelines = dict(zip(held.classes, made, strict=False))
+        self._past = deque(held.past, maxlen=_REPLAYED)
+        self.highest = held.highest
 
-    def _open(self, kind: int, gone_through: dict[int, _ClassPipeline]) -> None:
-        """Follow a class from now on: the empty frames so far lie behind it.
+    def _open(self, labels: list[int]) -> None:
+        """Follow new classes from now on, with the empty frames so far behind them.
 
-        They are gone through once in a frame for classes of the same stages; ``gone_through`` is
-        added to.
+        Classes with the same stages go through these once.
         """
-        stages = self.kinds.stages(kind)
-        together = kind in self.kinds.first.values() and self.kinds.apart
-        if not self._lanes and stages is self.kinds.usual:
-            self._blank.together = together
-            self._lanes[kind] = self._blank
-            return
-        before = gone_through.get(id(stages))
-        if before is None:
-            before = gone_through[id(stages)] = _ClassPipeline.begin(stages, self._seed)
-            for number, time, warp, observed in self._past:
-                before.advance(Detections.empty(observed=observed), number, time, warp)
-        lane = _ClassPipeline(stages, copy.deepcopy(before.rng), before.state, together)
-        if len(self._lanes) == 1:
-            self._alone = self.highest
-        else:
-            self._alone = self._alone
-        self._lanes[kind] = lane
-
-    def _given(self, kind: int, lane: _ClassPipeline, rows: Tracks) -> Tracks:
-        """Online rows with the class, with detections as they were given, and with identities among
-        all classes.
-        """
-        if lane.together:
-            newest(lane.votes(rows, lane.sums))
-        label = lane.classed(rows, kind, lane.sums)
-        identity = rows.identity
-        if len(self._lanes) <= 1:
-            self.highest = max(self.highest, int(identity.max(initial=0)))
-            return replace(rows, class_id=label)
-        mine = next(iter(self._lanes)) == kind
-        for one in sorted({one for one in identity.tolist() if not (mine and one <= self._alone)}):
-            known = self._names.pop((kind, one), 0)
-            self.highest += not known
-            # Those that are used come last.
-            self._names[kind, one] = known or self.highest
-        newest(self._names)
-        named = np.array([self._names.get((kind, one), one) for one in identity.tolist()], np.int64)
-        return replace(input_rows(rows, lane.rows), identity=named, class_id=label)
+        replayed = dict[int, _ClassPipeline]()
+        for label in labels:
+            if label in self._pipelines:
+                continue
+            stages = self.classes.stages(label)
+            together = label in self.classes.first.values() and self.classes.apart
+            if not self._pipelines and stages is self.classes.usual:
+                self._blank.together = together
+                self._pipelines[label] = self._blank
+                continue
+            before = replayed.get(id(stages))
+            if before is None:
+                before = replayed[id(stages)] = _ClassPipeline.begin(stages, self._seed)
+                for number, time, warp, observed in self._past:
+                    empty = Detections.empty(observed=observed)
+                    before.advance(label, empty, number, time, warp, 0)
+            rng = copy.deepcopy(before.rng)
+            self._pipelines[label] = _ClassPipeline(stages, rng, before.state, together)
 
 
-def input_rows(rows: Tracks, kept: Mapping[int, I8]) -> Tracks:
-    """The rows with their detections counted among more: in frame k, number i is ``kept[k][i]``."""
-    if not kept:
-        return rows
-    detection = rows.detection.copy()
-    for number in kept.keys() & set(rows.frame.tolist()):
-        at = (rows.frame == number) & (detection >= 0)
-        detection[at] = kept[number][detection[at]]
-    return replace(rows, detection=detection)
+def _only(detections: Detections, chosen: Bool) -> Detections:
+    """The ``chosen`` detections (N,); all of them uncopied."""
+    return detections if chosen.all() else detections.select(chosen)
 
 
-def remember(kept: dict[int, Any], number: int, value: Any) -> None:
-    """Keep the value of a frame; the oldest go.
-
-    Parameters
-    ----------
-    kept : values by number of the frame, which is changed.
-    number, value : of this frame.
-    """
-    kept[number] = value
-    if len(kept) > _MOST_KEPT:
-        del kept[next(iter(kept))]
+def _integers(values: Iterable[int]) -> I8:
+    """An array of these numbers."""
+    return np.fromiter(values, np.int64)
 
 
-def _skipped(association: Any, count: int) -> Any:
-    """An associator's state that leaves out as many identities; of one's own it stays."""
-    # By name: nothing is loaded for it.
-    match type(association).__name__:
-        case "RejectionState":
-            return replace(association, inner=_skipped(association.inner, count))
-        case "GraphState":
-            return replace(
-                association, given=replace(association.given, used=association.given.used + count)
-            )
-        case "LabelledState":
-            return replace(association, used=association.used + count)
-    return association
+def _with_class(rows: Tracks, label: int) -> Tracks:
+    """The rows, all of one class."""
+    return replace(rows, class_id=np.full(len(rows), label))
 
 
-def forget(kept: dict[int, Any], before: int) -> None:
-    """Drop what is of frames before that one."""
-    while kept and next(iter(kept)) < before:
-        del kept[next(iter(kept))]
+def _with_best_class(rows: Tracks, label: int, votes: Votes) -> Tracks:
+    """The rows, each of the class with the most votes for its identity; ``label`` without any."""
+    best: dict[int, tuple[float, int]] = {}
+    for (identity, candidate), total in votes.items():
+        best[identity] = max(best.get(identity, (0.0, label)), (total, candidate))
+    labels = (best.get(identity, (0.0, label))[1] for identity in rows.identity.tolist())
+    return replace(rows, class_id=_integers(labels))
 
 
-def newest(kept: dict[tuple[int, int], Any]) -> None:
-    """Drop all but the last `_MOST_NAMED`."""
-    while len(kept) > _MOST_NAMED:
-        del kept[next(iter(kept))]
+def _vote(identity: I8, labels: I8, score: F8, votes: Votes) -> None:
+    """Add the scores (M,) of detections of these classes to the votes for these identities."""
+    weight = np.clip(score, _LEAST_SCORE, 1.0)
+    for key in zip(identity.tolist(), labels.tolist(), weight.tolist(), strict=True):
+        # Those that are used come last.
+        votes[key[:2]] = votes.pop(key[:2], 0.0) + key[2]
 
 
-def _saved(lane: _ClassPipeline) -> SavedPipeline:
-    """What `_restored` makes the lane of."""
+def _saved(one: _ClassPipeline) -> SavedPipeline:
+    """What `_restored` makes the pipeline of."""
     return SavedPipeline(
-        Seed.of(lane.rng),
-        lane.state,
-        lane.together,
-        dict(lane.rows),
-        dict(lane.labels),
-        dict(lane.sums),
+        Seed.of(one.rng), one.state, one.together, one.waiting, dict(one.votes), one.highest
     )
 
 
 def _restored(stages: AnyStages, packed: Any, where: str) -> _ClassPipeline:
-    """The lane with these stages. Raises `InputError` where what was packed is of others."""
+    """The pipeline with these stages. Raises `InputError` if what was packed is of others."""
     from phdtrack.state import unpack
 
     like = _saved(_ClassPipeline.begin(stages, 0))
-    found: SavedPipeline = unpack(packed, SavedPipeline, like, where)
-    return _ClassPipeline(stages, found.seed.generator(), *found[1:])
+    held: SavedPipeline = unpack(packed, SavedPipeline, like, where)
+    return _ClassPipeline(stages, held.seed.generator(), *held[1:])

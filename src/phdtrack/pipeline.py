@@ -21,7 +21,6 @@ from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import (
     F8,
-    I8,
     STILL,
     Detections,
     Estimates,
@@ -32,9 +31,6 @@ from phdtrack.types import (
 )
 
 NO_STATES: F8 = np.zeros((0, 0))
-# Where measurements are put that show nothing of any state: no state is near.
-NOWHERE = 1e9
-ALL: I8 = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +41,13 @@ class TrackingState:
     ----------
     intensity, association : the filter's and the associator's state.
     number, time : of the last frame; seconds.
-    targets : (d, n) the last frame's states, where the sensor asks which targets hide which; empty
+    targets : (d, n) the last frame's states, if the sensor asks which targets hide which; empty
         otherwise.
-    given : which detections the filter was given, of the frames that it may still revise; (0,)
-        where it was given all.
-    learned : what was learned while tracking, None where nothing is.
-    expected : the targets that merged measurements are divided by, None where they are not.
-    pace : how many intervals there were, and the sum of the logarithms of their seconds.
-    shown : what the boxes of online rows have taught, None where they are the filter's.
-    camera : what is known of the camera's motion, None where it is not looked for.
+    detection_scores : what scores have taught; None without that stage.
+    expected_targets : the targets that merged measurements are divided by; None without that stage.
+    intervals : how many intervals there were, and the sum of the logarithms of their seconds.
+    online_boxes : what the boxes of online rows have taught; None if they are the filter's.
+    camera : what is known of the camera's motion; None if it is not looked for.
     """
 
     intensity: Any
@@ -61,27 +55,27 @@ class TrackingState:
     number: int = 0
     time: float = 0.0
     targets: F8 = field(default_factory=lambda: NO_STATES)
-    given: tuple[I8, ...] = ()
-    learned: Any = None
-    expected: Any = None
-    pace: tuple[int, float] = (0, 0.0)
-    shown: Any = None
+    detection_scores: Any = None
+    expected_targets: Any = None
+    intervals: tuple[int, float] = (0, 0.0)
+    online_boxes: Any = None
     camera: Any = None
 
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
     """The state before the first frame."""
-    learning = stages.detection_scores
-    explainer = stages.explainer
     model = stages.model
-    learned = learning and learning.start()
-    expected = explainer and explainer.start()
-    camera = stages.camera and stages.camera.start()
-    intensity = stages.filter.start(learning.model(learned, model) if learning else model, rng)
-    shown = stages.online and stages.online.start()
-    first = stages.associator.start()
+    scores = None
+    if stages.detection_scores:
+        scores = stages.detection_scores.start()
+        model = stages.detection_scores.model(scores, model)
     return TrackingState(
-        intensity, first, learned=learned, expected=expected, shown=shown, camera=camera
+        stages.filter.start(model, rng),
+        stages.associator.start(),
+        detection_scores=scores,
+        expected_targets=stages.explainer and stages.explainer.start(),
+        online_boxes=stages.online and stages.online.start(),
+        camera=stages.camera and stages.camera.start(),
     )
 
 
@@ -94,126 +88,153 @@ def advance(
     rng: np.random.Generator,
     warp: F8 = STILL,
 ) -> tuple[TrackingState, Step]:
-    """The state after a frame, and everything that the frame brought. Raises `InputError` where
-    number or time does not grow or is no number, or the warp is no homography.
+    """The state after a frame, and everything that the frame brought.
+
+    Raises `InputError` if number or time does not grow or is not finite, or if the warp is no
+    homography.
 
     Parameters
     ----------
     stages : the tracker's parts.
     state : after the frame before.
-    detections : of this frame; with ``observed`` False it is predicted and nothing more.
+    detections : of this frame; if ``observed`` is False, the frame is only predicted.
     number, time, rng : from 1; seconds; the filter's randomness.
-    warp : (3, 3) homography from pixels of the frame before to this one's; `types.STILL` where the
+    warp : (3, 3) homography from pixels of the frame before to this one's; `types.STILL` if the
         camera stands still.
     """
     _check_order(state, number, time)
-    learning = stages.detection_scores
-    explainer = stages.explainer
-    learned = state.learned
-    expected = state.expected
-    camera, seen = _seen(stages, state, detections, warp, (number, time))
-    if learning:
-        model = learning.model(learned, seen)
-    else:
-        model = seen
-    pace, dt = _paced(stages, state, time, model)
+    measured = detections
+    if not detections.observed:
+        measured = Detections.empty(observed=False)
+
+    # Measure
+    z = stages.model.sensor.measure(measured)
+    camera, model = _with_camera_motion(stages, state, z, warp, (number, time))
+    if stages.detection_scores:
+        model = stages.detection_scores.model(state.detection_scores, model)
+    intervals, dt = _interval(stages, state, time, model)
     began = clock.perf_counter()
-    explanation = Explanation.unchanged(detections)
-    if explainer:
-        expected, explanation = explainer.explain(expected, detections, model, dt)
-    measured = model.sensor.measure(
-        explanation.detections if detections.observed else Detections.empty(observed=False)
-    )
-    given = _Given(explanation, measured, np.flatnonzero(np.isfinite(measured).all(axis=0)))
+    targets, explanation, z = _explained(stages, state, measured, z, model, dt)
+    usable = np.asarray(np.isfinite(z).all(axis=0))
+    if not usable.all():
+        explanation = explanation.select(usable)
+        z = np.ascontiguousarray(z[:, usable])
+    measured = explanation.detections
+
+    # Predict and update
     if detections.observed:
-        if learning:
-            weighted = learning.with_scores(
-                learned, model, explanation.detections.select(given.usable)
+        frame_model = _with_hidden_targets(model, state.targets, dt)
+        if stages.detection_scores:
+            frame_model = stages.detection_scores.with_scores(
+                state.detection_scores, frame_model, measured
             )
-        else:
-            weighted = model
-        intensity, info = stages.filter.step(
-            state.intensity, given.z, _watching(weighted, state.targets, dt), dt, rng
-        )
+        intensity, info = stages.filter.step(state.intensity, z, frame_model, dt, rng)
     else:
         intensity = stages.filter.predict(state.intensity, model, dt, rng)
-        info = UpdateInfo(intensity.mass, 0.0, intensity.mass, np.zeros(0), np.zeros(0))
-    filtered = clock.perf_counter()
-    estimates = _renumbered(stages.extractor.extract(intensity, given.z, model), given.usable)
-    expected = explainer and explainer.advance(expected, explanation, estimates, model, dt)
-    numbers = (*state.given, given.numbers)[-1 - len(estimates.past) :]
-    z, info, estimates = given.in_terms_of_detections(info, estimates, numbers[:-1])
+        info = UpdateInfo.without_update(intensity.mass)
+    updated = clock.perf_counter()
+
+    # Extract
+    estimates = stages.extractor.extract(intensity, z, model)
+    if stages.explainer:
+        targets = stages.explainer.advance(targets, explanation, estimates, model, dt)
     extracted = clock.perf_counter()
+
+    # Associate
     association, tracks = stages.associator.extend(
-        state.association, estimates, z, number, dt, model
+        state.association, estimates, z, measured, number, dt, model
     )
-    shown = None
+    online_boxes = None
     if stages.online:
-        shown, tracks = stages.online.advance(state.shown, tracks, detections, number, time)
-    seconds = (filtered - began, extracted - filtered, clock.perf_counter() - extracted)
+        online_boxes, tracks = stages.online.advance(
+            state.online_boxes, tracks, detections, number, time
+        )
     step = Step(
-        number, time, detections, info, estimates, tracks, seconds, given.unusable, seen.warp
+        number,
+        time,
+        detections,
+        explanation.in_frame(info),
+        estimates.in_rows(measured.row),
+        tracks,
+        (updated - began, extracted - updated, clock.perf_counter() - extracted),
+        int(np.count_nonzero(~usable)),
+        model.warp,
     )
-    learned = learning and learning.advance(learned, step)
-    camera = stages.camera and stages.camera.with_targets(camera, estimates)
-    if model.sensor.occlusion:
-        targets = estimates.state
-    else:
-        targets = NO_STATES
+
+    # Learn
+    scores = state.detection_scores
+    if stages.detection_scores:
+        scores = stages.detection_scores.advance(scores, step)
+    if stages.camera:
+        camera = stages.camera.with_targets(camera, estimates)
     after = TrackingState(
         intensity,
         association,
         number,
         time,
+        estimates.state if model.sensor.occlusion else NO_STATES,
+        scores,
         targets,
-        numbers,
-        learned,
-        expected,
-        pace,
-        shown,
+        intervals,
+        online_boxes,
         camera,
     )
     return after, step
 
 
-def _paced(
+def _explained(
+    stages: AnyStages, state: TrackingState, detections: Detections, z: F8, model: Model, dt: float
+) -> tuple[Any, Explanation, F8]:
+    """The expected targets, the detections that the filter gets, and their measurements."""
+    if stages.explainer is None:
+        return None, Explanation.unchanged(detections), z
+    targets, explanation = stages.explainer.explain(
+        state.expected_targets, detections, z, model, dt
+    )
+    if explanation.changed:
+        z = model.sensor.measure(explanation.detections)
+    return targets, explanation, z
+
+
+def _interval(
     stages: AnyStages, state: TrackingState, time: float, model: Model
 ) -> tuple[tuple[int, float], float]:
-    """`TrackingState.pace`, and the interval before this frame in the model's time units.
+    """`TrackingState.intervals`, and the interval before this frame in the model's time units.
 
-    Streams of few pictures show slow things: where the usual interval, the geometric mean, is
-    longer than ``Stages.longest_interval``, the filter's time runs slower, so that it is as long as
-    that.
+    Streams of few frames a second show slow things: if the usual interval, the geometric mean, is
+    longer than ``Stages.longest_interval``, the filter's time runs slower, so that the usual
+    interval is as long as that.
     """
     if state.number == 0:
         return (0, 0.0), model.first
     seconds = time - state.time
-    count = state.pace[0] + 1
-    logs = state.pace[1] + math.log(seconds)
+    count = state.intervals[0] + 1
+    logs = state.intervals[1] + math.log(seconds)
     factor = stages.longest_interval / math.exp(logs / count)
-    # 1e-6: an interval of 0.2 s is one, whatever rounding makes of it.
-    return (count, logs), seconds * (factor if 0 < factor <= 1 - 1e-6 else 1.0) * model.rate
+    # Within rounding an interval of 0.2 s is 0.2 s.
+    if not 0 < factor <= 1 - 1e-6:
+        factor = 1.0
+    return (count, logs), seconds * factor * model.rate
 
 
-def _seen(
-    stages: AnyStages,
-    state: TrackingState,
-    detections: Detections,
-    warp: F8,
-    when: tuple[int, float],
+def _with_camera_motion(
+    stages: AnyStages, state: TrackingState, z: F8, warp: F8, when: tuple[int, float]
 ) -> tuple[Any, Model]:
-    """What is known of the camera's motion, and the model of the frame: with the motion that was
-    given, or was found.
+    """What is known of the camera's motion, and the model of the frame with it.
+
+    The motion is ``warp``, or what the measurements ``z`` (m, N) show; ``when`` is number and time.
     """
-    if len(warp) and state.number:
-        moved = as_warp(warp, f"frame {when[0]}")
-    else:
-        moved = STILL
+    if not state.number:
+        return state.camera, stages.model
+    if len(warp):
+        warp = as_warp(warp, f"frame {when[0]}")
     camera = state.camera
-    if stages.camera and state.number:
+    if stages.camera:
         interval = (when[1] - state.time) * stages.model.rate
-        camera, moved = stages.camera.between(camera, detections, stages.model, interval, moved)
-    return camera, replace(stages.model, warp=moved) if len(moved) else stages.model
+        camera, warp = stages.camera.between(camera, z, stages.model, interval, warp)
+    if len(warp):
+        return camera, replace(stages.model, warp=warp)
+    return camera, stages.model
 
 
 def run(
@@ -236,7 +257,7 @@ def flush(stages: AnyStages, state: TrackingState) -> Tracks:
     """The online rows that the output delay holds back; none without a delay."""
     tracks = stages.associator.flush(state.association, stages.model)
     if stages.online:
-        return stages.online.shown(state.shown, tracks)[1]
+        return stages.online.shown(state.online_boxes, tracks)[1]
     return tracks
 
 
@@ -250,145 +271,75 @@ def finish(stages: AnyStages, state: TrackingState) -> Tracks:
     )
 
 
-def merged(steps: Sequence[Step], index: Sequence[I8], detections: Detections) -> Step:
+def merged(steps: Sequence[Step], detections: Detections) -> Step:
     """One step of several pipelines that share a frame; its rows are those of the first.
 
     Parameters
     ----------
-    steps, index : of each, and (n,) which of the frame's detections it was given.
-    detections : of the frame, (N).
+    steps : of each, of which every detection has a different row.
+    detections : of the frame, (N,) those of all.
     """
-    infos = [step.info for step in steps]
     first = steps[0]
-    evidence, clutter = np.zeros((2, len(detections)))
-    whole = all(len(info.evidence) == len(at) for info, at in zip(infos, index, strict=True))
-    for info, at in zip(infos, index, strict=True) if whole else ():
-        evidence[at] = info.evidence
-        clutter[at] = info.clutter
-    known = all(len(info.cardinality) for info in infos)
-    info = UpdateInfo(
-        sum(info.mass_predicted for info in infos),
-        sum(info.mass_born for info in infos),
-        sum(info.mass for info in infos),
-        evidence if whole else np.zeros(0),
-        clutter if whole else np.zeros(0),
-        sum(info.vanished for info in infos),
-        reduce(np.convolve, [info.cardinality for info in infos]) if known else np.zeros(0),
-        sum(info.detected for info in infos),
-    )
     parts = [step.estimates for step in steps]
-    tagged = all(len(part.tag) == len(part) for part in parts)
+    tag = np.zeros(0, np.int64)
+    if all(len(part.tag) == len(part) for part in parts):
+        # Tags of different pipelines differ.
+        tag = np.concatenate([len(parts) * part.tag + k for k, part in enumerate(parts)])
     estimates = Estimates(
         np.concatenate([part.state for part in parts], axis=1),
         np.concatenate([part.covariance for part in parts]),
         np.concatenate([part.weight for part in parts]),
         np.concatenate([part.xyxy for part in parts]),
-        np.concatenate(
-            [np.append(at, -1)[part.detection] for part, at in zip(parts, index, strict=True)]
-        ),
-        # One that no other class has.
-        np.concatenate([len(parts) * part.tag + k for k, part in enumerate(parts)])
-        if tagged
-        else np.zeros(0, np.int64),
+        np.concatenate([part.detection for part in parts]),
+        tag,
     )
-    a, b, c = np.sum([step.seconds for step in steps], axis=0).tolist()
-    unusable = sum(step.unusable for step in steps)
     return Step(
         first.number,
         first.time,
         detections,
-        info,
+        _merged_info(steps),
         estimates,
         first.tracks,
-        (a, b, c),
-        unusable,
+        tuple(np.sum([step.seconds for step in steps], axis=0).tolist()),
+        sum(step.unusable for step in steps),
         first.warp,
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Given:
-    """What the filter is given of a frame's N detections: N′ by an explanation, of which it is
-    given the usable ones.
-
-    ``measured`` (m, N′) are their measurements; a column with NaN, as of a foot above the horizon,
-    is not ``usable``.
-    """
-
-    explanation: Explanation
-    measured: F8
-    usable: I8
-
-    @property
-    def unusable(self) -> int:
-        """How many of the N′ the filter is not given."""
-        return int(self.measured.shape[1]) - len(self.usable)
-
-    @property
-    def z(self) -> F8:
-        """(m, n) the measurements that the filter is given."""
-        if self.unusable:
-            return np.ascontiguousarray(self.measured[:, self.usable])
-        return self.measured
-
-    @property
-    def numbers(self) -> I8:
-        """(n,) the frame's detection that each of them rests on; (0,) where it is given all as they
-        are.
-        """
-        if self.unusable or self.explanation.changed:
-            return self.explanation.source[self.usable]
-        return ALL
-
-    def in_terms_of_detections(
-        self, info: UpdateInfo, estimates: Estimates, past: tuple[I8, ...]
-    ) -> tuple[F8, UpdateInfo, Estimates]:
-        """Measurements (m, N), info and states in terms of the frame's detections; ``past`` are
-        earlier frames' numbers.
-
-        What is not usable counts as a false alarm and lies where no state is. A detection that
-        several targets share has the measurement of one of them and the largest evidence; of pieces
-        of one target the first has its measurement.
-        """
-        z = self.measured
-        e = self.explanation
-        if self.unusable or e.changed:
-            z = np.full((len(self.measured), len(e.part)), NOWHERE)
-            z[:, e.source[self.usable]] = self.z
-            if len(info.evidence) == len(self.usable):
-                evidence, clutter = np.zeros((2, len(e.source)))
-                evidence[self.usable] = info.evidence
-                clutter[self.usable] = info.clutter
-                largest = evidence[e.part]
-                np.maximum.at(largest, e.source, evidence)
-                info = replace(info, evidence=largest, clutter=clutter[e.part])
-            estimates = _renumbered(estimates, e.source)
-        if any(len(numbers) for numbers in past):
-            revised = zip(estimates.past[len(estimates.past) - len(past) :], past, strict=True)
-            again = tuple(
-                _renumbered(x, numbers) if x is not None and len(numbers) else x
-                for x, numbers in revised
-            )
-            estimates = replace(estimates, past=again)
-        return z, info, estimates
+def _merged_info(steps: Sequence[Step]) -> UpdateInfo:
+    """What the updates of several pipelines learned of the frame that they share."""
+    infos = [step.info for step in steps]
+    evidence = clutter = probability = cardinality = np.zeros(0)
+    if all(len(step.info.evidence) == len(step.detections) for step in steps):
+        order = np.argsort(np.concatenate([step.detections.row for step in steps]))
+        evidence = np.concatenate([info.evidence for info in infos])[order]
+        clutter = np.concatenate([info.clutter for info in infos])[order]
+        probability = np.concatenate([info.clutter_probability for info in infos])[order]
+    if all(len(info.cardinality) for info in infos):
+        cardinality = reduce(np.convolve, [info.cardinality for info in infos])
+    return UpdateInfo(
+        sum(info.mass_predicted for info in infos),
+        sum(info.mass_born for info in infos),
+        sum(info.mass for info in infos),
+        evidence,
+        clutter,
+        probability,
+        sum(info.vanished for info in infos),
+        cardinality,
+        sum(info.detected for info in infos),
+    )
 
 
-def _renumbered(estimates: Estimates, numbers: I8) -> Estimates:
-    """The states with each detection k replaced by ``numbers[k]``."""
-    # The last place stands for no detection.
-    return replace(estimates, detection=np.append(numbers, -1)[estimates.detection])
-
-
-def _watching(model: Model, targets: F8, dt: float) -> Model:
+def _with_hidden_targets(model: Model, targets: F8, dt: float) -> Model:
     """The model whose sensor knows which targets of the last frame may hide others by now."""
     if targets.shape[1] == 0:
         return model
-    expected, _, _ = model.motion.transition(model.warp_states(np.ascontiguousarray(targets)), dt)
-    return replace(model, sensor=model.sensor.watching(expected))
+    ahead, _, _ = model.motion.transition(model.warp_states(np.ascontiguousarray(targets)), dt)
+    return replace(model, sensor=model.sensor.watching(ahead))
 
 
 def _check_order(state: TrackingState, number: int, time: float) -> None:
-    """Raise `InputError` where number or time does not grow, or is none."""
+    """Raise `InputError` if number or time does not grow, or is not finite."""
     if number < 1:
         raise InputError(f"expected a frame number from 1, got {number}")
     if not math.isfinite(time):

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -317,15 +317,24 @@ class Associator(Protocol[A]):
         """The state before the first frame."""
 
     def extend(
-        self, state: A, estimates: Estimates, z: F8, number: int, dt: float, model: Model
+        self,
+        state: A,
+        estimates: Estimates,
+        z: F8,
+        detections: Detections,
+        number: int,
+        dt: float,
+        model: Model,
     ) -> tuple[A, Tracks]:
         """The state with those of frame ``number``, and the online rows that are now final.
 
         Parameters
         ----------
         state, dt : of the frame before, and the model time since then.
-        estimates, z, number : the extracted states, the (m, N) measurements and the frame number.
-        model : of this frame; states of earlier frames are warped where the camera has moved
+        estimates, number : the extracted states and the frame number.
+        z, detections : the (m, N) measurements, and what was measured; rows of tracks name a
+            detection by its ``row``.
+        model : of this frame; states of earlier frames are warped if the camera has moved
             (`Model.warp`).
         """
 
@@ -340,14 +349,13 @@ class Associator(Protocol[A]):
         tracks.
         """
 
+    def oldest(self, state: A) -> int:
+        """The number of the first frame that is remembered, 0 before the first one."""
 
-@runtime_checkable
-class FrameMemory(Protocol):
-    """An associator's state that knows which frames it remembers."""
-
-    @property
-    def oldest_frame(self) -> int:
-        """Number of the first frame that is remembered; 0 before the first frame."""
+    def numbered_after(self, state: A, identity: int) -> A:
+        """The state that numbers new online tracks from ``identity`` + 1 on; all that it has
+        numbered are lower.
+        """
 
 
 class Smoother(Protocol):
@@ -370,42 +378,41 @@ class Explainer(Protocol[C]):
     ----------
     state : after the frame before; for `advance` the one that `explain` gave.
     explanation : of this frame.
-    detections, model, dt : of the frame, and the interval since the one before in the model's time
-        unit.
-    estimates : the states, whose numbers of detections are the explanation's.
+    detections, z : of the frame, and their (m, N) measurements.
+    model, dt : of the frame, and the interval since the one before in the model's time unit.
+    estimates : the states, each of which rests on one of the explanation's detections.
     """
 
     def start(self) -> C:
         """The state before the first frame."""
 
     def explain(
-        self, state: C, detections: Detections, model: Model, dt: float
+        self, state: C, detections: Detections, z: F8, model: Model, dt: float
     ) -> tuple[C, Explanation]:
         """The state for `advance`, and the detections that the filter is to be given of a frame."""
 
     def advance(
         self, state: C, explanation: Explanation, estimates: Estimates, model: Model, dt: float
     ) -> C:
-        """The state after a frame, with what the filter made of it."""
+        """The state after a frame, with the filter's estimates."""
 
 
 class CameraEstimator(Protocol[C]):
-    """What finds the camera's motion in the detections of a frame."""
+    """Estimates the camera's motion from the detections of a frame."""
 
     def start(self) -> C:
         """The state before the first frame."""
 
-    def between(
-        self, state: C, detections: Detections, model: Model, dt: float, given: F8
-    ) -> tuple[C, F8]:
+    def between(self, state: C, z: F8, model: Model, dt: float, given: F8) -> tuple[C, F8]:
         """The state for `with_targets`, and the homography since the last frame; `types.STILL`
-        where it stands still.
+        if the camera stands still.
 
         Parameters
         ----------
         state : after the frame before.
-        detections, model, dt : of the frame, and the interval in the model's time unit.
-        given : (3, 3) the motion that was given from outside; `types.STILL` where none was.
+        z, model, dt : of the frame its (m, N) measurements, and the interval in the model's time
+            unit.
+        given : (3, 3) the motion that was given from outside; `types.STILL` if none was.
         """
 
     def with_targets(self, state: C, estimates: Estimates) -> C:

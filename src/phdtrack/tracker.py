@@ -13,12 +13,10 @@ import logging
 import math
 import signal
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,20 +26,13 @@ from phdtrack.associate.history import HISTORY
 from phdtrack.detect.convert import LeftOut, as_detections, doubtful
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
-from phdtrack.multiclass import ClassPipelines, ClassSettings, forget, input_rows, remember
+from phdtrack.multiclass import ClassPipelines, ClassSettings
 from phdtrack.protocols import AnyStages
-from phdtrack.types import I8, LAST_FRAME, STILL, Detections, SequenceInfo, Step, Tracks
+from phdtrack.types import LAST_FRAME, STILL, Detections, SequenceInfo, Step, Tracks
 
 _LOG = logging.getLogger(__name__)
 # The keys of a saved state.
 _SAVED = {"format", "frame_size", "dim", "settings", "state"}
-
-
-class SavedBoxes(NamedTuple):
-    """Boxes that were left out, and the rows that stayed of frames that had any."""
-
-    left_out: LeftOut
-    kept: dict[int, I8]
 
 
 class Tracker:
@@ -112,26 +103,24 @@ class Tracker:
             raise InputError(
                 "stages are complete; settings beside them would be ignored", where="Tracker"
             )
-        if isinstance(stages, ClassSettings):
-            self.kinds = stages
-        else:
-            self.kinds = ClassSettings(stages)
-        self.stages = self.kinds.usual
+        self.classes = stages if isinstance(stages, ClassSettings) else ClassSettings(stages)
+        self.stages = self.classes.usual
         self.fps = float(fps)
         self.seed = int(seed)
+        self.sequences = 0
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next frame is the first of a new sequence, and identities start at
-        1 again.
+        1 again. ``sequences`` counts how often this, or `load_state_dict`, has begun one.
         """
-        self._lanes = ClassPipelines(self.kinds, self.seed)
+        self._pipelines = ClassPipelines(self.classes, self.seed)
         self._step: Step | None = None
         self._left_out = LeftOut()
-        self._kept = dict[int, I8]()
         self._begun = math.nan
         self._first = 0
         self._doubted = False
+        self.sequences += 1
 
     def update(
         self,
@@ -163,47 +152,48 @@ class Tracker:
             none, or one for a model that lies at fixed pixels or on the ground.
         KeyboardInterrupt : after Ctrl-C, when the frame is done; a second Ctrl-C ends at once.
         """
-        last = self._lanes.state
-        if frame is None:
-            number = last.number + 1
-        else:
+        number, time = self._moment(frame, timestamp)
+        found = as_detections(detections, where=f"frame {number}").numbered()
+        moved = STILL
+        if warp is not None:
+            moved = as_warp(warp, f"frame {number}, update(warp=…)")
+        if len(moved):
+            from phdtrack.models.scene import refuse_standing
+
+            refuse_standing(self.stages.model)
+        tracked, left_out = self.classes.within_limits(found, self._pipelines.states)
+        with uninterrupted():
+            self._step = self._pipelines.advance(tracked, number, time, moved)
+        self._warn(number, time, found, left_out)
+        self._left_out = self._left_out.with_more(left_out)
+        return self._step.tracks
+
+    def _moment(self, frame: int | None, timestamp: float | None) -> tuple[int, float]:
+        """Number and time of the frame of an `update`. Raises `InputError` as it says."""
+        last = self._pipelines.state
+        number = last.number + 1
+        if frame is not None:
             number = _whole(frame, "update(frame=…)")
         if not 1 <= number <= LAST_FRAME:
             raise InputError(
                 f"expected a frame number from 1 to {LAST_FRAME:,}, got {number}",
                 where="update(frame=…)",
             )
-        time = last.time + (number - (last.number or 1)) / self.fps
         if timestamp is not None:
-            time = _number(timestamp, f"frame {number}, update(timestamp=…)")
-        found = as_detections(detections, where=f"frame {number}")
-        kept, left_out = self.kinds.taken(found, self._lanes.states)
-        if warp is None:
-            moved = STILL
-        else:
-            moved = as_warp(warp, f"frame {number}, update(warp=…)")
-        if len(moved):
-            from phdtrack.models.scene import refuse_standing
+            return number, _number(timestamp, f"frame {number}, update(timestamp=…)")
+        return number, last.time + (number - (last.number or 1)) / self.fps
 
-            refuse_standing(self.stages.model)
-        if len(kept) < len(found):
-            given = found.select(kept)
-        else:
-            given = found
-        with uninterrupted():
-            self._step = self._lanes.advance(given, number, time, moved)
-        # What was not asked for is no fault.
+    def _warn(self, number: int, time: float, found: Detections, left_out: LeftOut) -> None:
+        """Warn of what is new in a frame: boxes left out, doubtful units, forgotten frames."""
+        # Boxes of classes that were not selected are left out as asked.
         for sentence in left_out.sentences(self._left_out._replace(unwanted=1)):
             _LOG.warning("frame %d: %s", number, sentence)
-        if not self._doubted and (doubt := doubtful(found, self.kinds.limits.frame_size)):
-            self._doubted = True
-            _LOG.warning("frame %d: %s", number, doubt)
-        self._say_what_is_forgotten(number, time)
-        if len(kept) < len(found):
-            self._left_out = self._left_out.with_more(left_out)
-            remember(self._kept, number, kept)
-        forget(self._kept, self._lanes.oldest if self._kept else 0)
-        return input_rows(self._step.tracks, self._kept)
+        if not self._doubted:
+            doubt = doubtful(found, self.classes.limits.frame_size)
+            self._doubted = bool(doubt)
+            if doubt:
+                _LOG.warning("frame %d: %s", number, doubt)
+        self._warn_of_forgetting(number, time)
 
     def warm_up(self) -> None:
         """Compile the kernels that these settings use, or load those that are kept, now and not in
@@ -214,49 +204,44 @@ class Tracker:
         some ten seconds, which the logger ``phdtrack`` says, and that of each later process one or
         two.
         """
-        lanes = ClassPipelines(self.kinds, self.seed)
+        pipelines = ClassPipelines(self.classes, self.seed)
         rng = np.random.default_rng(0)
         n = 8
-        size = np.array(
-            self.kinds.limits.frame_size
-            if min(self.kinds.limits.frame_size) > 0
-            else (1920.0, 1080.0)
-        )
+        limits = self.classes.limits
+        size = np.array((1920.0, 1080.0))
+        if min(limits.frame_size) > 0:
+            size = np.array(limits.frame_size)
         # Side by side, so that some compete for detections, and through the lower half, where a
         # camera sees the ground.
         start = np.linspace([0.2, 0.55], [0.7, 0.9], n)
         step = np.array([0.004, 0.001])
         for k in range(1, 26):
+            seen = start[:0]
             if k % 8:
                 seen = start[rng.random(n) < 0.8]
-            else:
-                seen = start[:0]
             corner = np.vstack([seen + k * step, rng.random((k % 3, 2))]) * size
             box = np.hstack([corner, corner + [0.03, 0.15] * size])
-            label = np.resize([*self.kinds.only, *self.kinds.own] or [0], len(box))
+            label = np.resize([*self.classes.only, *self.classes.own] or [0], len(box))
             found = Detections.of(box, rng.uniform(0.3, 1.0, len(box)), label)
             with uninterrupted():
-                lanes.advance(found.select(self.kinds.taken(found)[0]), k, k / self.fps)
+                pipelines.advance(self.classes.within_limits(found)[0], k, k / self.fps)
         # A camera that moves; models on the ground take no warp.
+        shift = np.array([[1.0, 0.0, 4.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         with uninterrupted(), suppress(InputError):
-            lanes.advance(
-                found,
-                26,
-                26 / self.fps,
-                np.array([[1.0, 0.0, 4.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
-            )
-        lanes.flush()
-        lanes.finish()
+            pipelines.advance(found, 26, 26 / self.fps, shift)
+        pipelines.flush()
+        pipelines.finish()
         # More than may be in one place.
-        self.kinds.taken(found.select(np.zeros(self.kinds.limits.max_in_one_place + 1, np.int64)))
+        crowd = found.select(np.zeros(limits.max_in_one_place + 1, np.int64))
+        self.classes.within_limits(crowd)
 
-    def _say_what_is_forgotten(self, number: int, time: float) -> None:
-        """Once, where nobody has asked for it."""
+    def _warn_of_forgetting(self, number: int, time: float) -> None:
+        """Warn once, when the first frame is forgotten and no setting asks for it."""
         if math.isnan(self._begun):
             self._begun = time
             self._first = number
         # A slow stream's history is longer: it goes by the filter's time.
-        if self._forgets and time - self._begun > HISTORY and self._lanes.oldest > self._first:
+        if self._forgets and time - self._begun > HISTORY and self._pipelines.oldest > self._first:
             self._forgets = False
             _LOG.warning(
                 "what is older than some %g minutes is forgotten from now on, so that memory stays"
@@ -274,27 +259,27 @@ class Tracker:
         """At the end, the online rows that the output delay holds back: a later `update` gives them
         again.
         """
-        return input_rows(self._lanes.flush(), self._kept)
+        return self._pipelines.flush()
 
     def tracks(self) -> Tracks:
         """The corrected tracks of everything so far: short ones left out, gaps bridged, identities
         of their own.
         """
-        return input_rows(self._lanes.finish(), self._kept)
+        return self._pipelines.finish()
 
     @property
     def drawn(self) -> bool:
         """Whether anything was drawn at random so far."""
-        return self._lanes.drawn
+        return self._pipelines.drawn
 
     @property
     def highest(self) -> int:
         """The highest identity that online rows had so far."""
-        return self._lanes.highest
+        return self._pipelines.highest
 
     def skip_identities(self, count: int) -> None:
         """Give none of the next ``count`` identities, as those of another run."""
-        self._lanes.skip(count)
+        self._pipelines.skip(count)
 
     @property
     def step(self) -> Step | None:
@@ -308,12 +293,12 @@ class Tracker:
         """The filter's and the associator's state, and what was learned; of several classes that of
         the first seen.
         """
-        return self._lanes.state
+        return self._pipelines.state
 
     @property
     def states(self) -> dict[int, pipeline.TrackingState]:
         """The same of each class seen so far."""
-        return self._lanes.states
+        return self._pipelines.states
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides what comes next, as numbers, texts and bytes with a checksum (it
@@ -327,17 +312,13 @@ class Tracker:
         """
         from phdtrack.state import FORMAT, settings_digest, to_bytes
 
-        whole, lanes = self._lanes.saved()
-        state = {
-            "whole": whole,
-            "lanes": lanes,
-            "left_out": SavedBoxes(self._left_out, dict(self._kept)),
-        }
+        whole, pipelines = self._pipelines.saved()
+        state = {"whole": whole, "pipelines": pipelines, "left_out": self._left_out}
         return lambda: {
             "format": FORMAT,
             "frame_size": self._frame_size,
             "dim": self.stages.model.motion.dim,
-            "settings": settings_digest(self.kinds),
+            "settings": settings_digest(self.classes),
             "state": to_bytes(state),
         }
 
@@ -360,12 +341,13 @@ class Tracker:
         where = "load_state_dict"
         self._check_saved(saved, where, same_settings)
         state = from_bytes(saved["state"], where)
-        lanes = ClassPipelines(self.kinds, self.seed)
-        lanes.restore(state["whole"], state["lanes"], where)
-        left_out: SavedBoxes = unpack(state["left_out"], SavedBoxes, where=f"{where}, left_out")
-        self._lanes = lanes
+        pipelines = ClassPipelines(self.classes, self.seed)
+        pipelines.restore(state["whole"], state["pipelines"], where)
+        left_out: LeftOut = unpack(state["left_out"], LeftOut, where=f"{where}, left_out")
+        self._pipelines = pipelines
         self._step = None
-        self._left_out, self._kept = left_out
+        self._left_out = left_out
+        self.sequences += 1
 
     def _check_saved(self, saved: Any, where: str, same_settings: bool) -> None:
         """Raise `InputError` unless this is a saved state that belongs to this tracker."""
@@ -384,102 +366,11 @@ class Tracker:
             problem = f"expected a state of frames of {self._frame_size}, got one of {size}"
         elif saved["dim"] != dim:
             problem = f"expected states of {dim} components, got {saved['dim']}"
-        elif same_settings and saved["settings"] != settings_digest(self.kinds):
+        elif same_settings and saved["settings"] != settings_digest(self.classes):
             problem = "expected a state of a tracker with the same settings"
         if problem:
             cure = "Load it into a tracker with the settings of the one that it is from"
             raise InputError(problem, where=where, cure=cure)
-
-
-class FinalTracks:
-    """The corrected rows of a loop without end, each given once, when it is final.
-
-    A row is final ``lag`` seconds after its frame. A track that lasts longer than the tracker
-    remembers keeps its identity (``associate={"history": S}``: the lag, ``every``, and what comes
-    before the rows, 30 s or more). Take `rest` before the tracker is reset. What was given is no
-    part of a tracker's state: after `Tracker.load_state_dict` rows come again.
-
-    Parameters
-    ----------
-    tracker : whose `Tracker.update` is called in between.
-    lag, every : seconds after which rows are final, and between two times that they are given.
-    """
-
-    def __init__(self, tracker: Tracker, lag: float = 30.0, every: float = 30.0) -> None:
-        self._tracker = tracker
-        self._lag = lag
-        self._every = every
-        self._lanes: ClassPipelines | None = None
-        self._follow()
-
-    def _follow(self) -> None:
-        """Begin anew where the tracker was reset or loaded a state: its lanes are others then."""
-        if self._lanes is self._tracker._lanes:
-            return
-        self._lanes = self._tracker._lanes
-        self._last = self._used = 0
-        self._next = math.nan
-        # When each frame was, of those that are not final; identities of rows that were given, by
-        # frame and detection.
-        self._times = dict[int, float]()
-        self._given = dict[tuple[int, int], int]()
-
-    def due(self) -> Tracks:
-        """The rows that are final now; none but every so many seconds. Call it after each
-        update.
-        """
-        self._follow()
-        step = self._tracker.step
-        if step is None:
-            return Tracks.empty()
-        self._times[step.number] = step.time
-        if math.isnan(self._next):
-            self._next = step.time + self._lag + self._every
-        else:
-            self._next = self._next
-        if step.time < self._next:
-            return Tracks.empty()
-        self._next = step.time + self._every
-        return self._up_to(
-            max((k for k, time in self._times.items() if time <= step.time - self._lag), default=0)
-        )
-
-    def rest(self) -> Tracks:
-        """All other rows, at the end."""
-        self._follow()
-        return self._up_to(self._tracker.state.number)
-
-    def _up_to(self, frame: int) -> Tracks:
-        """The rows after those that were given, up to a frame, with lasting identities."""
-        rows = self._tracker.tracks()
-        fresh = rows.select((rows.frame > self._last) & (rows.frame <= frame))
-        votes: dict[int, Counter[int]] = {
-            one: Counter() for one in np.unique(fresh.identity).tolist()
-        }
-        for number, identity, detection in _places(rows):
-            if identity in votes and (number, detection) in self._given:
-                votes[identity][self._given[number, detection]] += 1
-        names = dict[int, int]()
-        for one in sorted(votes, key=lambda one: -max(votes[one].values(), default=0)):
-            known = [name for name, _ in votes[one].most_common() if name not in names.values()]
-            self._used += not known
-            names[one] = known[0] if known else self._used
-        first = int(rows.frame.min(initial=frame))
-        self._given = {place: name for place, name in self._given.items() if place[0] >= first}
-        self._given |= {
-            (number, detection): names[identity] for number, identity, detection in _places(fresh)
-        }
-        self._times = {number: time for number, time in self._times.items() if number > frame}
-        self._last = max(self._last, frame)
-        return replace(
-            fresh, identity=np.array([names[one] for one in fresh.identity.tolist()], np.int64)
-        )
-
-
-def _places(rows: Tracks) -> Iterator[tuple[int, int, int]]:
-    """Frame, identity and detection of each row that rests on one."""
-    seen = rows.select(rows.detection >= 0)
-    return zip(seen.frame.tolist(), seen.identity.tolist(), seen.detection.tolist(), strict=True)
 
 
 @contextmanager

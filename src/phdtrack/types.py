@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,8 @@ class Detections:
         detector states none.
     observed : False for a frame without detection (predict only), which is not the same as an empty
         frame.
+    row : (N,) int64, the number of each detection in its frame as the caller gave it, from 0 and
+        ascending. It goes with a detection through every selection, and `Tracks.detection` is it.
     """
 
     xyxy: F8
@@ -89,6 +91,11 @@ class Detections:
     class_id: I8
     covariance: F8 | None = None
     observed: bool = True
+    row: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if len(self.row) != len(self.xyxy):
+            object.__setattr__(self, "row", np.arange(len(self.xyxy)))
 
     @classmethod
     def empty(cls, *, observed: bool = True) -> Detections:
@@ -127,8 +134,17 @@ class Detections:
         else:
             cov = self.covariance[index]
         return Detections(
-            self.xyxy[index], self.confidence[index], self.class_id[index], cov, self.observed
+            self.xyxy[index],
+            self.confidence[index],
+            self.class_id[index],
+            cov,
+            self.observed,
+            self.row[index],
         )
+
+    def numbered(self) -> Detections:
+        """The same detections, as those of a frame of their own: numbered from 0."""
+        return replace(self, row=np.arange(len(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +167,7 @@ class DetectionTable:
     def at(self, number: int) -> Detections:
         """The detections of frame ``number``; empty where the table has none."""
         lo, hi = np.searchsorted(self.frame, [number, number + 1])
-        return self.detections.select(np.arange(lo, hi))
+        return self.detections.select(np.arange(lo, hi)).numbered()
 
     @property
     def last(self) -> int:
@@ -295,11 +311,13 @@ class UpdateInfo:
         the update.
     evidence, clutter : (N,) C(z_j) = ∫ p_D g(z_j|x) D⁺(x) dx and κ(z_j), per unit of measurement
         volume.
+    clutter_probability : (N,) posterior probability that each detection is a false alarm. It is
+        κ/(κ + C) for PHD filters, and 1 if κ + C = 0.
     vanished : number of detections with κ + C = 0, whose term is 0 by definition.
     cardinality : probabilities of 0, 1, 2, … targets after the update; (0,) from filters that carry
         none.
-    detected : ∫ p_D D⁺, the number of detections of targets that was expected; NaN from filters
-        that do not say.
+    detected : ∫ p_D D⁺, the expected number of detections of targets; NaN from filters that do not
+        compute it.
     """
 
     mass_predicted: float
@@ -307,39 +325,49 @@ class UpdateInfo:
     mass: float
     evidence: F8
     clutter: F8
+    clutter_probability: F8
     vanished: int = 0
     cardinality: F8 = field(default_factory=lambda: np.zeros(0))
     detected: float = math.nan
 
+    @classmethod
+    def without_update(cls, mass: float) -> UpdateInfo:
+        """The record of a frame that was predicted only, with this mass."""
+        nothing = np.zeros(0)
+        return cls(mass, 0.0, mass, nothing, nothing, nothing)
+
     @property
     def log_evidence(self) -> float:
-        """Σ log(κ + C) − ∫ p_D D⁺, without terms of 0: of a PHD filter log p(Z) of the frame, but
-        for ∫ κ.
+        """Σ log(κ + C) − ∫ p_D D⁺, without terms of 0: for a PHD filter log p(Z) of the frame,
+        except ∫ κ.
         """
         total = self.clutter + self.evidence
         return float(np.log(total[total > 0]).sum()) - self.detected
 
-    @property
-    def clutter_probability(self) -> F8:
-        """(N,) posterior probability κ/(κ+C) that each detection is a false alarm; 1 where κ + C =
-        0.
-        """
-        total = self.clutter + self.evidence
-        return np.divide(self.clutter, total, out=np.ones_like(total), where=total > 0)
+
+def false_alarm_share(clutter: F8, evidence: F8) -> F8:
+    """(N,) κ/(κ + C), the posterior probability of a false alarm in the PHD update; 1 if κ + C = 0.
+
+    Parameters
+    ----------
+    clutter, evidence : (N,) κ(z) and C(z), see `UpdateInfo`.
+    """
+    total = clutter + evidence
+    return np.divide(clutter, total, out=np.ones_like(total), where=total > 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
-    """The detections that the filter is given in place of a frame's N: merged measurements divided,
-    fragments united.
+    """The detections that the filter gets in place of a frame's N: merged measurements divided,
+    fragments united, and without those that show no possible state.
 
     Attributes
     ----------
-    detections : the N′ detections that the filter is given, one for each target.
+    detections : the N′ detections that the filter gets, one for each target.
     source : (N′,) the detection that each rests on; several rest on a merged one.
-    part : (N,) the first of the N′ that each detection went into.
+    part : (N,) the first of the N′ that each detection went into, −1 for none.
     target : (N′,) the expected target that each belongs to, −1 for none.
-    changed : False where these are the frame's detections as they were.
+    changed : False if these are the frame's detections as they were.
     """
 
     detections: Detections
@@ -354,6 +382,46 @@ class Explanation:
         same = np.arange(len(detections))
         return cls(detections, same, same, np.full(len(same), -1))
 
+    def select(self, usable: Bool) -> Explanation:
+        """The explanation without the detections that are not ``usable`` (N′,)."""
+        number = np.where(usable, np.cumsum(usable) - 1, -1)
+        return Explanation(
+            self.detections.select(usable),
+            self.source[usable],
+            number[self.part],
+            self.target[usable],
+            changed=True,
+        )
+
+    def in_frame(self, info: UpdateInfo) -> UpdateInfo:
+        """What an update learned of the N′ detections, in terms of the frame's N.
+
+        A detection that several targets share is a false alarm of its first part, or the target
+        that explains it best. One that went into none is a false alarm.
+        """
+        if not self.changed or len(info.evidence) != len(self.source):
+            return info
+        density = info.clutter + info.evidence
+        false_alarms = self._first(info.clutter_probability * density)
+        targets = self._largest((1 - info.clutter_probability) * density)
+        return replace(
+            info,
+            evidence=self._largest(info.evidence),
+            clutter=self._first(info.clutter),
+            clutter_probability=false_alarm_share(false_alarms, targets),
+        )
+
+    def _first(self, values: F8) -> F8:
+        """(N,) of ``values`` (N′,) that of the first part of each detection, 0 without any."""
+        first: F8 = np.append(values, 0.0)[self.part]
+        return first
+
+    def _largest(self, values: F8) -> F8:
+        """(N,) of ``values`` (N′,) the largest of the parts of each detection, 0 without any."""
+        largest = self._first(values)
+        np.maximum.at(largest, self.source, values)
+        return largest
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimates:
@@ -364,8 +432,8 @@ class Estimates:
     state : (d, n) float64.      covariance : (n, d, d) float64.
     weight : (n,) mass of the intensity behind each state.
     xyxy : (n, 4) the box that each state predicts in the image, pixels.
-    detection : (n,) index of the detection that each state rests on in this frame, −1 where it is
-        predicted only.
+    detection : (n,) column of the frame's measurements that each state rests on, −1 if it is only
+        predicted; in a `Step` the `Detections.row` of it.
     tag : (n,) the label of the target that each state is of, its own for life, of filters that
         follow targets one by one; (0,) of others.
     past : the states of the frames before this one, oldest first, ending with the frame just
@@ -396,6 +464,13 @@ class Estimates:
     def __len__(self) -> int:
         return len(self.weight)
 
+    def in_rows(self, row: I8) -> Estimates:
+        """The states of the present with `Detections.row` for each detection; ``row`` (n,) is that
+        of each measurement.
+        """
+        # The last place is for states that are only predicted.
+        return replace(self, detection=np.append(row, -1)[self.detection], past=())
+
     def select(self, index: I8 | Bool) -> Estimates:
         """The states at ``index`` (integers or a mask), in that order."""
         state = np.ascontiguousarray(self.state[:, index])
@@ -417,10 +492,12 @@ class MeasurementHistory:
     Attributes
     ----------
     number, time : (F,) frame numbers, ascending, and times in the model's time units.
-    start : (F + 1,) frame f has the columns start[f] … start[f + 1] − 1 of ``z``, in the order of
-        its detections.
+    start : (F + 1,) frame f has the columns start[f] … start[f + 1] − 1 of ``z``, ascending by
+        ``row``.
     z : (m, Z) measurements.
-    warp : (F, 3, 3) the camera's motion since the frame before; (0, 3, 3) where it stood still.
+    warp : (F, 3, 3) the camera's motion since the frame before; (0, 3, 3) if it stood still.
+    row, class_id, score : (Z,) of the detections that were measured, see `Detections`; without
+        them all detections of a frame were measured, and class and score are 0.
     """
 
     number: I8
@@ -428,6 +505,26 @@ class MeasurementHistory:
     start: I8
     z: F8
     warp: F8
+    row: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    class_id: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    score: F8 = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        count = self.z.shape[1]
+        if len(self.row) != count:
+            first = np.repeat(self.start[:-1], np.diff(self.start))
+            object.__setattr__(self, "row", np.arange(count) - first)
+        if len(self.score) != count:
+            object.__setattr__(self, "class_id", np.zeros(count, np.int64))
+            object.__setattr__(self, "score", np.zeros(count))
+
+    def columns(self, tracks: Tracks) -> I8:
+        """(M,) the column of the detection that each row of the tracks rests on, −1 for none."""
+        span = 1 + max(self.row.max(initial=0), tracks.detection.max(initial=0))
+        frame = np.repeat(np.arange(len(self.number)), np.diff(self.start))
+        place = np.searchsorted(self.number, tracks.frame)
+        column = np.searchsorted(frame * span + self.row, place * span + tracks.detection)
+        return np.where(tracks.detection >= 0, column, -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -440,9 +537,10 @@ class Tracks:
     frame : (M,) int64 from 1.        identity : (M,) int64 from 1.        xyxy : (M, 4) float64,
         pixels.
     confidence : (M,) float64 in [0, 1].
-    detection : (M,) index among that frame's detections, −1: predicted or bridged.
+    detection : (M,) `Detections.row` of the detection that the row rests on: its index among the
+        detections of that frame as the caller gave them; −1: predicted or bridged.
     confirmed : (M,) bool; False for rows given before the track was long enough to be confirmed.
-    class_id : (M,) int64; 0 where nothing is known of classes.
+    class_id : (M,) int64; 0 if no classes are known.
     """
 
     frame: I8

@@ -11,7 +11,7 @@ from phdtrack.associate.history import open_links
 from phdtrack.kernels.linking import Window
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
-from phdtrack.types import Estimates, Tracks
+from phdtrack.types import Detections, Estimates, Tracks
 
 WIDTH = 640.0
 HEIGHT = 480.0
@@ -78,39 +78,46 @@ def states(
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a run gave: the state after each frame, the rows given with each, the rows of the end,
+    """The state after each frame, the online rows with each, the rows of the end,
     the corrected tracks.
     """
 
     states: list[GraphState]
-    given: list[Tracks]
+    emitted: list[Tracks]
     flushed: Tracks
     tracks: Tracks
 
     @property
     def online(self) -> Tracks:
-        return Tracks.concatenate([*self.given, self.flushed])
+        return Tracks.concatenate([*self.emitted, self.flushed])
 
 
-def run(matching, frames, model: Model | None = None, intervals=None, measured=None) -> Result:
+def seen_as(z) -> Detections:
+    """The detections of measurements (m, N)."""
+    return Detections.of(np.zeros((z.shape[1], 4)))
+
+
+def measured(estimates: Estimates):
+    """Estimates as measurements and their detections."""
+    z = estimates.state[[0, 1, 4, 5]]
+    return z, seen_as(z)
+
+
+def run(matching, frames, model: Model | None = None, intervals=None, shown=None) -> Result:
     """Association of a sequence of `Estimates` whose detections they are themselves, or those in
-    ``measured``.
+    ``shown``.
     """
     model = model or model_of()
     state = matching.start()
     after = []
-    given = []
+    emitted = []
     for number, estimates in enumerate(frames, start=1):
         dt = 1.0 if intervals is None else intervals[number - 1]
-        z = (
-            estimates.state[list(model.sensor.observed)]
-            if measured is None
-            else measured[number - 1]
-        )
-        state, rows = matching.extend(state, estimates, z, number, dt, model)
+        z = estimates.state[list(model.sensor.observed)] if shown is None else shown[number - 1]
+        state, rows = matching.extend(state, estimates, z, seen_as(z), number, dt, model)
         after.append(state)
-        given.append(rows)
-    return Result(after, given, matching.flush(state, model), matching.finish(state, model))
+        emitted.append(rows)
+    return Result(after, emitted, matching.flush(state, model), matching.finish(state, model))
 
 
 def links(state: GraphState) -> set[tuple[int, int]]:

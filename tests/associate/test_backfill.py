@@ -20,7 +20,7 @@ def measured(*points, size: float = 40.0) -> np.ndarray:
 def tracked(frames, model=MODEL, **settings) -> Tracks:
     """Corrected tracks of a sequence of (states, measurements)."""
     estimates, measured = zip(*frames, strict=True)
-    return run(matching_of(**settings), estimates, model, measured=measured).tracks
+    return run(matching_of(**settings), estimates, model, shown=measured).tracks
 
 
 def walker(begin: int, frames: int = 20, *, stray=()) -> list[tuple[Estimates, np.ndarray]]:

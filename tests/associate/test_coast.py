@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from association_cases import model_of, run, same
+from association_cases import measured, model_of, run, same
 from hypothesis import given
 from hypothesis import strategies as st
 from test_labels import seen
@@ -99,9 +99,7 @@ def test_the_share_of_those_found_is_what_it_is_in_the_stream():
     for number, estimates in enumerate(
         lives([("back", "elsewhere")[int(rng.random() < 1 / 3)] for _ in range(1000)]), start=1
     ):
-        state, _ = EVIDENCE.extend(
-            state, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL
-        )
+        state, _ = EVIDENCE.extend(state, estimates, *measured(estimates), number, 1.0, MODEL)
     found, lost = state.followed.verdicts[:, step_of(np.array([GAP / 25]))[0]]
     assert found / (found + lost) == pytest.approx(
         2 / 3, abs=4 * math.sqrt(2 / 9 / (2 * REMEMBERED - 1))
@@ -126,10 +124,8 @@ def test_a_saved_state_goes_on_as_if_nothing_had_happened():
     state = unpack(from_bytes(to_bytes(whole.states[at - 1])), LabelledState)
     assert len(state.followed.label)
     for number, estimates in enumerate(frames[at:], start=at + 1):
-        state, rows = EVIDENCE.extend(
-            state, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL
-        )
-        assert same(rows, whole.given[number - 1])
+        state, rows = EVIDENCE.extend(state, estimates, *measured(estimates), number, 1.0, MODEL)
+        assert same(rows, whole.emitted[number - 1])
 
 
 def plain(before: Followed, reported: Reported, now, interval, patience, kept):

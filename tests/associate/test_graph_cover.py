@@ -5,6 +5,7 @@ import pytest
 from association_cases import (
     links,
     matching_of,
+    measured,
     model_of,
     open_edges,
     run,
@@ -91,7 +92,7 @@ def test_edges_are_all_that_are_worth_taking(seed: int):
     past = scattered(rng, 3, 4, side=200)
     last = run(matching, past).states[-1]
     new = states(100 + rng.uniform(0, 200, (5, 2)), velocity=rng.normal(0, 3, (5, 2)))
-    after, _ = matching.extend(last, new, np.zeros((4, 0)), 4, 1.0, model)
+    after, _ = matching.extend(last, new, *measured(new), 4, 1.0, model)
     ours = {
         link: gain for link, gain in open_edges(after.window).items() if link[0] >= last.vertices
     }

@@ -4,7 +4,17 @@ at crossings.
 
 import numpy as np
 import pytest
-from association_cases import links, matching_of, model_of, run, same, states, table, walkers
+from association_cases import (
+    links,
+    matching_of,
+    measured,
+    model_of,
+    run,
+    same,
+    states,
+    table,
+    walkers,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -198,7 +208,7 @@ def test_writing_into_rows_that_were_given_changes_no_later_row():
     wanted = run(matching, frames).tracks
     state = matching.start()
     for number, estimates in enumerate(frames, 1):
-        state, rows = matching.extend(state, estimates, np.zeros((4, 0)), number, 1.0, model)
+        state, rows = matching.extend(state, estimates, *measured(estimates), number, 1.0, model)
         rows.xyxy[:] = -1
         rows.identity[:] = 99
         rows.confidence[:] = 0

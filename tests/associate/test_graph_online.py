@@ -84,7 +84,7 @@ def test_a_pause_longer_than_the_window_keeps_rows_that_are_held_back():
 @pytest.mark.parametrize("delay", [0, 1, 7])
 def test_output_lags_exactly_the_delay(delay: int):
     result = run(matching_of(output_delay=delay), moving(20))
-    for number, rows in enumerate(result.given, start=1):
+    for number, rows in enumerate(result.emitted, start=1):
         assert rows.frame.tolist() == ([number - delay] if number > delay else [])
     assert result.flushed.frame.tolist() == list(range(21 - delay, 21))
     assert len(run(matching_of(output_delay=delay), moving(3)).online) == 3

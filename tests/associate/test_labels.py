@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from association_cases import model_of, run, same, states, table
+from association_cases import measured, model_of, run, same, states, table
 
 from phdtrack.associate.labels import Labelled, LabelledState
 from phdtrack.errors import InputError
@@ -42,7 +42,7 @@ def test_a_label_is_an_identity_from_one_in_order_of_appearance():
         seen((70, 10.0 + 5 * k), (12, 300.0), *([(5, 500.0)] if k > 1 else [])) for k in range(6)
     ]
     result = run(PLAIN, frames)
-    assert [rows.identity.tolist() for rows in result.given] == [[1, 2]] * 2 + [[1, 2, 3]] * 4
+    assert [rows.identity.tolist() for rows in result.emitted] == [[1, 2]] * 2 + [[1, 2, 3]] * 4
     assert result.online.confirmed[result.online.identity == 1].tolist() == [False] * 2 + [True] * 4
     assert result.online.confirmed[result.online.identity == 3].tolist() == [False] * 2 + [True] * 2
     assert table(result.tracks) == [
@@ -87,13 +87,13 @@ def test_corrected_tracks_and_delayed_rows_show_the_revised_past():
     last = seen((1, 30.0))
     frames = [*with_past(first, 3), replace(last, past=tuple(second[1:]))]
     result = run(PLAIN, frames)
-    assert [rows.identity.tolist() for rows in result.given] == [[1], [1], [1, 2], [1, 2], [1]], (
+    assert [rows.identity.tolist() for rows in result.emitted] == [[1], [1], [1, 2], [1, 2], [1]], (
         "what was given stays"
     )
     assert table(result.tracks) == [(1, 1, 0), (2, 1, 0), (3, 1, 1), (4, 1, 1), (5, 1, 0)]
     np.testing.assert_array_equal(result.tracks.xyxy[2:4], np.vstack([e.xyxy for e in second[2:]]))
     held = run(replace(PLAIN, output_delay=2), frames)
-    assert [len(rows) for rows in held.given] == [0, 0, 1, 1, 1]
+    assert [len(rows) for rows in held.emitted] == [0, 0, 1, 1, 1]
     assert same(held.online, result.tracks)
 
 
@@ -110,21 +110,21 @@ def test_what_no_revision_reaches_any_more_stands():
 
 def test_confirmed_online_as_soon_as_what_follows_shows_it():
     frames = [seen((1, 10.0 + 5 * k)) for k in range(6)]
-    given = run(replace(PLAIN, output_delay=2), frames).given
+    given = run(replace(PLAIN, output_delay=2), frames).emitted
     assert [rows.confirmed.tolist() for rows in given] == [[], [], [True], [True], [True], [True]]
     # Once confirmed, always: the filter takes two of three detections back.
     taken = [
         *with_past(frames[:3], 3),
         replace(seen((1, 25.0, -1)), past=(frames[0],) + (seen((1, 20.0, -1)),) * 2),
     ]
-    assert run(PLAIN, taken).given[3].confirmed.tolist() == [True]
+    assert run(PLAIN, taken).emitted[3].confirmed.tolist() == [True]
 
 
 def test_of_states_with_one_label_the_heaviest_stands():
     frames = [seen((1, 10.0), (1, 50.0), (2, 99.0), weight=[0.4, 0.9, 0.5]) for _ in range(4)]
     result = run(PLAIN, frames)
-    assert table(result.given[0]) == [(1, 1, 1), (1, 2, 2)]
-    np.testing.assert_allclose(result.given[0].confidence, [0.9, 0.5])
+    assert table(result.emitted[0]) == [(1, 1, 1), (1, 2, 2)]
+    np.testing.assert_allclose(result.emitted[0].confidence, [0.9, 0.5])
     assert len(result.tracks) == 8
 
 
@@ -146,8 +146,8 @@ def test_a_saved_state_goes_on_as_if_nothing_had_happened(depth: int):
     whole = run(held, frames)
     half = unpack(from_bytes(to_bytes(whole.states[69])), LabelledState)
     for number, estimates in enumerate(frames[70:], start=71):
-        half, rows = held.extend(half, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL)
-        assert same(rows, whole.given[number - 1])
+        half, rows = held.extend(half, estimates, *measured(estimates), number, 1.0, MODEL)
+        assert same(rows, whole.emitted[number - 1])
     assert same(held.finish(half, MODEL), whole.tracks)
     assert same(held.flush(half, MODEL), whole.flushed)
     assert len(whole.tracks) == 100
@@ -161,8 +161,7 @@ def test_a_camera_that_runs_for_days_forgets():
     ours = run(replace(PLAIN, history=2.0), frames)
     theirs = run(PLAIN, frames)
     sizes = [
-        len(to_bytes(state))
-        for state in (ours.states[319], ours.states[447], ours.states[-1])
+        len(to_bytes(state)) for state in (ours.states[319], ours.states[447], ours.states[-1])
     ]
     assert max(sizes) < 1.3 * min(sizes)
     assert len(to_bytes(theirs.states[-1])) > 4 * sizes[0]
@@ -181,6 +180,6 @@ def test_a_target_not_seen_for_a_while_keeps_its_identity_where_little_is_rememb
         if not settled
         else [replace(e, past=(None,) * min(k, 5)) for k, e in enumerate(frames)]
     )
-    rows = run(replace(PLAIN, history=2.0, max_coast=0.0), given).given
+    rows = run(replace(PLAIN, history=2.0, max_coast=0.0), given).emitted
     assert {tuple(r.identity.tolist()) for r in rows[::4]} == {(1, 2)}
     assert {tuple(r.identity.tolist()) for k, r in enumerate(rows) if k % 4} == {(1,)}

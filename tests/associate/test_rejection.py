@@ -168,7 +168,7 @@ def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_obj
 
 
 @dataclass(frozen=True)
-class Given:
+class FixedRows:
     """An associator that gives the rows of a table, each ``delay`` frames late; its state is the
     frame's number.
     """
@@ -179,7 +179,7 @@ class Given:
     def start(self) -> int:
         return 0
 
-    def extend(self, state, estimates, z, number, dt, model):
+    def extend(self, state, estimates, z, detections, number, dt, model):
         return number, self.rows.select(self.rows.frame == number - self.delay)
 
     def flush(self, state, model):
@@ -193,7 +193,7 @@ class Given:
 def test_online_the_same_rows_are_believed(rows, delay):
     """With any delay: those that are kept of the corrected tracks, where both are the same rows."""
     tracks = Tracks.concatenate([table(rows)])
-    associator = FalseTrackRejection(Given(tracks, delay), STRIP)
+    associator = FalseTrackRejection(FixedRows(tracks, delay), STRIP)
     result = run(associator, [states([])] * 9)
     found = result.online
     assert same(found, tracks, "confirmed")

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from association_cases import matching_of, model_of, run, same, states, walkers
+from association_cases import matching_of, measured, model_of, run, same, seen_as, states, walkers
 
 from phdtrack.associate.history import CHUNK
 from phdtrack.associate.labels import Labelled
@@ -35,9 +35,7 @@ def test_the_state_stops_growing():
     state = matching_of().start()
     size = {}
     for number, estimates in enumerate(circling(10_000), start=1):
-        state, _ = matching.extend(
-            state, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL
-        )
+        state, _ = matching.extend(state, estimates, *measured(estimates), number, 1.0, MODEL)
         if number % 1000 == 0:
             size[number] = len(pickle.dumps(state))
             tracks = matching.finish(state, MODEL)
@@ -91,7 +89,7 @@ def remembered(matching, rng: np.random.Generator, frames: int, moving: bool = F
         )
         warp = np.eye(3) + np.array([[0, 0, number], [0, 0, 0], [0, 0, 0]]) * 0.1
         model = replace(MODEL, warp=warp) if moving and number > 1 else MODEL
-        state, _ = matching.extend(state, found, z, 2 * number, 1.5, model)
+        state, _ = matching.extend(state, found, z, seen_as(z), 2 * number, 1.5, model)
         given.append((2 * number, z, warp if moving and number > 1 else np.eye(3)))
     return state, given
 

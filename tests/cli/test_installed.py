@@ -45,7 +45,7 @@ LOOP = """
 import pickle
 import numpy as np
 from phdtrack import Detections, Tracker, evaluate
-from phdtrack.tracker import FinalTracks
+from phdtrack.final_rows import FinalTracks
 
 tracker, rows = Tracker(frame_size=(640, 480), fps=25), []
 tracker.warm_up()

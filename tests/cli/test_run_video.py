@@ -20,6 +20,7 @@ from phdtrack.config import build, load
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.filters.none import Raw
+from phdtrack.final_rows import FinalTracks
 from phdtrack.formats import DetectionsWriter, read_detections, read_tracks
 from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth
 from phdtrack.multiclass import ClassSettings
@@ -33,7 +34,7 @@ from phdtrack.run.pipeline_threads import DEPTH
 from phdtrack.run.preparation import PreparedRun
 from phdtrack.run.running import RunOptions
 from phdtrack.run.video import RunResult
-from phdtrack.tracker import FinalTracks, Tracker
+from phdtrack.tracker import Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
 

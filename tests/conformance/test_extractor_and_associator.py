@@ -22,7 +22,7 @@ from shipped import (
 
 from phdtrack.filters import Raw
 from phdtrack.protocols import Associator, Extractor
-from phdtrack.types import Particles, Tracks
+from phdtrack.types import Detections, Particles, Tracks
 
 extractors = pytest.mark.parametrize("extractor", EXTRACTORS.values(), ids=EXTRACTORS)
 associators = pytest.mark.parametrize("associator", ASSOCIATORS.values(), ids=ASSOCIATORS)
@@ -111,7 +111,8 @@ def test_rows_of_a_sequence(associator, seed: int):
         state = associator.start()
         given = []
         for number, (estimates, z) in enumerate(sequence(np.random.default_rng(seed), 30), start=3):
-            state, rows = associator.extend(state, frozen(estimates), z, number, 1.0, model)
+            seen = Detections.of(np.zeros((z.shape[1], 4)))
+            state, rows = associator.extend(state, frozen(estimates), z, seen, number, 1.0, model)
             check_rows(rows)
             assert len(set(rows.frame)) <= 1
             assert rows.frame.max(initial=0) <= number

@@ -61,9 +61,7 @@ def test_ten_thousand_detections_in_one_place_are_as_few(
         assert len(many.state.intensity) == len(few.state.intensity)
     assert many.left_out == LeftOut(crowded=4 * 9_975)
     said = [record.getMessage() for record in caplog.records if record.name == "phdtrack.tracker"]
-    assert said == [
-        "frame 1: 9975 boxes left out: more in one place than limits.max_in_one_place"
-    ]
+    assert said == ["frame 1: 9975 boxes left out: more in one place than limits.max_in_one_place"]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -35,7 +35,8 @@ def expected(boxes: F8, **given: F8) -> ExpectedTargets:
 def explain(
     targets: ExpectedTargets, blobs: F8, rule: MergedMeasurements = ALWAYS
 ) -> tuple[ExpectedTargets, Explanation]:
-    return rule.explain(targets, Detections.of(blobs), MODEL, 1.0)
+    seen = Detections.of(blobs)
+    return rule.explain(targets, seen, MODEL.sensor.measure(seen), MODEL, 1.0)
 
 
 PAIR = np.array([[100.0, 100, 140, 200], [125, 104, 165, 204]])

@@ -60,7 +60,9 @@ def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
     chain = Chain(50, 1, 100_000, exchange, strength)
     options, states, chance = jump_chain(2, can, np.array([(0, 1), (0, 2), (1, 2)]), chain, rng)
     there = options > can.first[:-1, None]
-    now = np.stack([can.measurement[options], np.where(there, states, -1)], axis=2).transpose(1, 0, 2)
+    now = np.stack([can.measurement[options], np.where(there, states, -1)], axis=2).transpose(
+        1, 0, 2
+    )
     assert len(law) > 60
     assert variation(law, now) < 0.02
     # The probabilities of the samples say the same of each candidate, with less noise: existence

@@ -145,7 +145,7 @@ def test_frames_are_on_disk_before_the_writer_is_closed(
     tmp_path: Path,
 ) -> None:
     found = Detections.of([[0, 0, 1, 1], [2, 2, 4, 4]], [0.5, -7])
-    info = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
+    info = UpdateInfo.without_update(0.0)
     state = Estimates(
         np.arange(12.0).reshape(6, 2),
         np.zeros((2, 6, 6)),

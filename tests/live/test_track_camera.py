@@ -22,10 +22,10 @@ from typer.testing import CliRunner
 from phdtrack import Tracker
 from phdtrack.cli.app import application
 from phdtrack.errors import InputError
+from phdtrack.final_rows import FinalTracks
 from phdtrack.run import camera_input
 from phdtrack.run.inputs import Inputs, open_inputs
 from phdtrack.run.requests import SourceRequest
-from phdtrack.tracker import FinalTracks
 from phdtrack.types import Frame
 from phdtrack.video import open_source
 

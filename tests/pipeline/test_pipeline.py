@@ -62,11 +62,11 @@ def test_a_frame_is_filtered_extracted_and_linked(rng):
     stages, calls = recorded()
     state, step = advanced(stages, calls, [(1, 0.0, BOX)], rng)
     assert [name for name, *_ in calls] == ["step", "extract", "extend"]
-    (_, _, z, _, dt, _), (_, seen, shown, _), (_, _, estimates, _, number, interval, _) = calls
+    (_, _, z, _, dt, _), (_, seen, shown, _), (_, _, estimates, *_, number, interval, _) = calls
     assert (dt, interval, number) == (1.0, 1.0, 1)
     assert shown is z
     assert seen is state.intensity
-    assert estimates is step.estimates
+    assert estimates.state is step.estimates.state
     assert (state.number, state.time) == (step.number, step.time) == (1, 0.0)
     assert step.detections is BOX
     assert len(step.seconds) == 3
@@ -85,7 +85,7 @@ def test_intervals_are_those_of_the_times(
     stages, calls = recorded(rate)
     advanced(stages, calls, [(k, t, BOX) for k, t in enumerate(times, 1)], rng)
     assert [call[4] for call in calls if call[0] == "step"] == pytest.approx(intervals)
-    assert [call[5] for call in calls if call[0] == "extend"] == pytest.approx(intervals)
+    assert [call[6] for call in calls if call[0] == "extend"] == pytest.approx(intervals)
 
 
 def test_a_frame_that_nobody_looked_at_is_only_predicted(rng):

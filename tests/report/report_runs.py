@@ -34,6 +34,7 @@ def step(
         n * (1 - clutter),
         np.full(n, 1 - clutter),
         np.full(n, clutter),
+        np.full(n, clutter),
         cardinality=held,
     )
     estimates = Estimates(np.zeros((6, n)), np.zeros((n, 6, 6)), np.ones(n), boxes, np.arange(n))

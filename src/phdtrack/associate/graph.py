@@ -12,8 +12,8 @@ typical one-step prediction, so that the setting does not depend on the size of 
 on the frame rate. The degenerate f is convolved with the covariances of both states and evaluated
 on the rows that a measurement shows.
 
-Online rows, once given, never change; the tracks of `GraphMatching.finish` use all corrections. The
-identity of a state is fixed when the rows of its frame are given: it is that of the state it is
+Online rows never change; the tracks of `GraphMatching.finish` use all corrections. The
+identity of a state is fixed when the rows of its frame are emitted: it is that of the state it is
 then linked to. A later correction only decides how the identities go on. Where two states claim one
 identity, the one that is linked to its last state has it.
 """
@@ -49,7 +49,16 @@ from phdtrack.models import warp as warp_of
 from phdtrack.models.gaussian import moved
 from phdtrack.models.rts import bridge, update
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, STILL, Bool, Estimates, MeasurementHistory, Tracks
+from phdtrack.types import (
+    F8,
+    I8,
+    STILL,
+    Bool,
+    Detections,
+    Estimates,
+    MeasurementHistory,
+    Tracks,
+)
 
 # Frames after which a missing identity is no longer continued.
 AGES = 32
@@ -93,8 +102,8 @@ class Identities(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Given:
-    """What was given online.
+class OnlineTracks:
+    """The tracks of the online rows so far.
 
     Attributes
     ----------
@@ -103,7 +112,7 @@ class Given:
     known : the identities.
     returned : (2, AGES) how many identities were without a state for so many frames, and how many
         of them had one in the next.
-    used : identities given so far.
+    used : the highest identity so far.
     """
 
     first: int
@@ -115,20 +124,13 @@ class Given:
 
 @dataclass(frozen=True, slots=True)
 class GraphState:
-    """Open links, everything seen, what was given online, the number of vertices and the model
-    time.
-    """
+    """Open links, everything seen, the online tracks, the number of vertices and the model time."""
 
     window: Window
     history: History
-    given: Given
+    online: OnlineTracks
     vertices: int = 0
     time: float = 0.0
-
-    @property
-    def oldest_frame(self) -> int:
-        """Number of the first frame that is remembered; 0 before the first frame."""
-        return self.history.oldest_frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,11 +175,18 @@ class GraphMatching(Checked):
         """Nothing seen."""
         none = np.zeros(0, np.int64)
         return GraphState(
-            empty_window(0), History(), Given(0, none, _new(none, Estimates.empty(0), none))
+            empty_window(0), History(), OnlineTracks(0, none, _new(none, Estimates.empty(0), none))
         )
 
     def extend(
-        self, state: GraphState, estimates: Estimates, z: F8, number: int, dt: float, model: Model
+        self,
+        state: GraphState,
+        estimates: Estimates,
+        z: F8,
+        detections: Detections,
+        number: int,
+        dt: float,
+        model: Model,
     ) -> tuple[GraphState, Tracks]:
         """The state with the states of frame ``number`` linked, and the online rows that are now
         due [M07 §3].
@@ -192,13 +201,24 @@ class GraphMatching(Checked):
         time = state.time + dt
         vertices = state.vertices + len(estimates)
         history = state.history.append(
-            Moment(number, time, state.vertices, estimates, final, z, model.warp)
+            Moment(
+                number,
+                time,
+                state.vertices,
+                estimates,
+                final,
+                z,
+                detections.row,
+                detections.class_id,
+                detections.confidence,
+                model.warp,
+            )
         )
-        extended = GraphState(window, history, state.given, vertices, time)
+        extended = GraphState(window, history, state.online, vertices, time)
         due = len(history) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
-        extended, tracks = self._give(extended, due, model)
+        extended, tracks = self._emit(extended, due, model)
         if self.history == 0:
             return extended, tracks
         # What open links and rows that are still due rest on stays.
@@ -211,7 +231,7 @@ class GraphMatching(Checked):
         """The online rows of the last ``output_delay`` frames, under the final links."""
         parts = []
         for due in range(max(0, len(state.history) - self.output_delay), len(state.history)):
-            state, tracks = self._give(state, due, model)
+            state, tracks = self._emit(state, due, model)
             parts.append(tracks)
         return Tracks.concatenate(parts)
 
@@ -249,6 +269,15 @@ class GraphMatching(Checked):
     def measurements(self, state: GraphState) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
         return measurements(state.history)
+
+    def oldest(self, state: GraphState) -> int:
+        """The number of the first frame that is remembered."""
+        first = next(iter(state.history), None)
+        return first.number if first else 0
+
+    def numbered_after(self, state: GraphState, identity: int) -> GraphState:
+        """The state that numbers new tracks from ``identity`` + 1 on."""
+        return replace(state, online=replace(state.online, used=identity))
 
     def _linked(
         self, window: Window, estimates: Estimates, dt: float, model: Model
@@ -309,68 +338,83 @@ class GraphMatching(Checked):
         """
         return gain >= self.min_link_gain * 0.5 * self.loose_end_distance**2 * (states - 1)
 
-    def _give(self, state: GraphState, place: int, model: Model) -> tuple[GraphState, Tracks]:
-        """The state with what is given for the frame at ``place`` of the history under the present
-        links, and its rows.
+    def _emit(self, state: GraphState, place: int, model: Model) -> tuple[GraphState, Tracks]:
+        """The state after the online rows of the frame at ``place`` of the history under the
+        present links, and these rows.
         """
-        given = state.given
+        online = state.online
         moment = state.history[place]
-        history = state.history
-        held = [history[k] for k in range(place + 1, len(history))]
+        held = [state.history[k] for k in range(place + 1, len(state.history))]
         end = moment.first + len(moment.estimates)
-        onward, gain = _onward(given.first, state.window, held)
-        identity, known, used = _claimed(given, moment, onward, gain)
-        known = known._replace(confirmed=self._confirmed(known, onward, gain, given.first, end))
-        returned = _returned(given, known)
+        onward, gain = _onward(online.first, state.window, held)
+        identity, known, used = _claimed(online, moment, onward, gain)
+        known = known._replace(confirmed=self._confirmed(known, onward, gain, online.first, end))
+        returned = _returned(online, known)
         e = moment.estimates
         confirmed = known.confirmed[np.searchsorted(known.identity, identity)]
-        parts = [Tracks.of(moment.number, identity, e.xyxy, e.weight, e.detection, confirmed)]
-        after = onward[known.last - given.first]
+        parts = [Tracks.of(moment.number, identity, e.xyxy, e.weight, moment.rows, confirmed)]
+        after = onward[known.last - online.first]
         missing = known.last < moment.first
         absent = (
             missing & known.confirmed & ((after >= end) | ((after < 0) & (known.missed < AGES)))
         )
-        state_of = known.state.copy()
-        missed = known.missed.copy()
-        confidence = np.where(missing, 0.0, known.confidence)
+        coasting = known._replace(
+            state=known.state.copy(),
+            missed=known.missed.copy(),
+            confidence=np.where(missing, 0.0, known.confidence),
+        )
         if self.bridge_gaps and absent.any():
             bridging = (absent & (after >= 0)).nonzero()[0]
-            parts += _bridged(known.select(bridging), after[bridging], history, place, model)
+            parts += _bridged(known.select(bridging), after[bridging], state.history, place, model)
             going = (absent & (known.confidence > 0)).nonzero()[0]
-            ahead = known.state[:, going]
-            if len(moment.warp):
-                ahead = model.motion.warp_states(ahead, moment.warp)
-            else:
-                ahead = ahead
-            step = moment.time - history[place - 1].time
-            ahead, _, _ = model.motion.transition(ahead, step)
-            survive = model.motion.p_survive(ahead, step / model.rate)
-            sure = known.confidence[going] * survive
-            state_of[:, going] = ahead
-            confidence[going] = sure
-            there = sure > 0
-            missed[going[~there]] = AGES
-            probability = _return_probability(
-                survive[there], model.sensor.p_detect(ahead)[there], returned
+            ahead, rows = self._coasted(
+                state, place, known.select(going), after[going] < 0, returned, model
             )
-            most = self._max_frames(state, place, probability, model)
-            shown = there & (known.missed[going] <= most) & (after[going] < 0)
-            boxes = model.sensor.boxes(ahead[:, shown])
-            parts.append(
-                Tracks.of(moment.number, known.identity[going[shown]], boxes, sure[shown], -1)
-            )
-        known = known._replace(state=state_of, confidence=confidence, missed=missed)
-        # The first vertex whose identity a row still to be given may ask for.
-        oldest = min(
-            [
-                state.window.column,
-                moment.first,
-                *(int(m.final.earlier.min(initial=moment.first)) for m in held),
-            ]
+            parts.append(rows)
+            coasting.state[:, going] = ahead.state
+            coasting.missed[going] = ahead.missed
+            coasting.confidence[going] = ahead.confidence
+        # The first vertex whose identity a later row may ask for.
+        earlier = [int(m.final.earlier.min(initial=moment.first)) for m in held]
+        oldest = min(state.window.column, moment.first, *earlier)
+        track = np.concatenate((online.track, identity))[oldest - online.first :]
+        kept = coasting.select(coasting.last >= oldest)
+        online = OnlineTracks(oldest, track, kept, returned, used)
+        return replace(state, online=online), Tracks.concatenate(parts)
+
+    def _coasted(
+        self,
+        state: GraphState,
+        place: int,
+        missing: Identities,
+        unlinked: Bool,
+        returned: I8,
+        model: Model,
+    ) -> tuple[Identities, Tracks]:
+        """Identities without a state in the frame at ``place``, carried on by the motion model, and
+        the rows of those that are shown.
+
+        ``unlinked`` (n,): those that are not linked to a later state. ``returned``: as in
+        `OnlineTracks`, with this frame.
+        """
+        moment = state.history[place]
+        ahead = missing.state
+        if len(moment.warp):
+            ahead = model.motion.warp_states(ahead, moment.warp)
+        step = moment.time - state.history[place - 1].time
+        ahead, _, _ = model.motion.transition(ahead, step)
+        survive = model.motion.p_survive(ahead, step / model.rate)
+        confidence = missing.confidence * survive
+        there = confidence > 0
+        probability = _return_probability(
+            survive[there], model.sensor.p_detect(ahead)[there], returned
         )
-        track = np.concatenate((given.track, identity))[oldest - given.first :]
-        given = Given(oldest, track, known.select(known.last >= oldest), returned, used)
-        return replace(state, given=given), Tracks.concatenate(parts)
+        most = self._max_frames(state, place, probability, model)
+        shown = there & (missing.missed <= most) & unlinked
+        boxes = model.sensor.boxes(ahead[:, shown])
+        rows = Tracks.of(moment.number, missing.identity[shown], boxes, confidence[shown], -1)
+        missed = np.where(there, missing.missed, AGES)
+        return missing._replace(state=ahead, confidence=confidence, missed=missed), rows
 
     def _confirmed(self, known: Identities, onward: I8, gain: F8, first: int, end: int) -> Bool:
         """(A,) whether each identity is confirmed by its states, or together with those that it is
@@ -451,21 +495,23 @@ def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
     return onward, gain
 
 
-def _claimed(given: Given, moment: Moment, onward: I8, gain: F8) -> tuple[I8, Identities, int]:
+def _claimed(
+    online: OnlineTracks, moment: Moment, onward: I8, gain: F8
+) -> tuple[I8, Identities, int]:
     """The identities (n,) of the frame's states, all identities with them, and how many were ever
     used.
 
     A state takes the identity of the one that is linked to it. Of several that claim one, that
     which is linked to the identity's last state has it, else the first; the others get new ones.
     """
-    known = given.known
+    known = online.known
     e = moment.estimates
     first = moment.first
-    earlier = onward[: len(given.track)]
+    earlier = onward[: len(online.track)]
     source = ((earlier >= first) & (earlier < first + len(e))).nonzero()[0]
     state = earlier[source] - first
-    name = given.track[source]
-    direct = known.last[np.searchsorted(known.identity, name)] - given.first == source
+    name = online.track[source]
+    direct = known.last[np.searchsorted(known.identity, name)] - online.first == source
     order = np.lexsort((state, ~direct))
     _, foremost = np.unique(name[order], return_index=True)
     won = order[foremost]
@@ -476,7 +522,7 @@ def _claimed(given: Given, moment: Moment, onward: I8, gain: F8) -> tuple[I8, Id
     identity = np.zeros(len(e), np.int64)
     identity[state] = name
     fresh = (identity == 0).nonzero()[0]
-    identity[fresh] = given.used + 1 + np.arange(len(fresh))
+    identity[fresh] = online.used + 1 + np.arange(len(fresh))
     going = Identities._make(column.copy() for column in known._replace(missed=known.missed + 1))
     going.last[at] = first + state
     going.missed[at] = 0
@@ -488,16 +534,16 @@ def _claimed(given: Given, moment: Moment, onward: I8, gain: F8) -> tuple[I8, Id
     return (
         identity,
         going.join(_new(identity[fresh], e.select(fresh), first + fresh)),
-        given.used + len(fresh),
+        online.used + len(fresh),
     )
 
 
-def _returned(given: Given, known: Identities) -> I8:
-    """`Given.returned` with this frame: of confirmed identities without a state, how many have one
+def _returned(online: OnlineTracks, known: Identities) -> I8:
+    """`OnlineTracks.returned` with this frame: of confirmed identities without a state, how many have one
     now.
     """
-    before = given.known
-    returned = given.returned.copy()
+    before = online.known
+    returned = online.returned.copy()
     asked = (before.confirmed & (before.missed > 0) & (before.missed < AGES)).nonzero()[0]
     np.add.at(returned[0], before.missed[asked], 1)
     np.add.at(returned[1], before.missed[asked], known.missed[asked] == 0)
@@ -586,8 +632,8 @@ def _back_dated(
     taken: set[tuple[int, int]],
     model: Model,
 ) -> tuple[Path, F8]:
-    """Places (moment, detection) of the detections that lead to a track's first state, latest
-    first, and its boxes there.
+    """Places (moment, `Detections.row`) of the detections that lead to a track's first state,
+    latest first, and its boxes there.
 
     A filter that removes clutter confirms a target only after some coherent detections. Here a
     Kalman filter runs backward in time from the first state: predict by the inverse transition,
@@ -602,8 +648,14 @@ def _back_dated(
     states = [np.zeros((len(state), 0))]
     for k in range(place - 1, max(-1, place - 1 - most), -1):
         earlier = moments[k]
-        used = set(earlier.estimates.detection.tolist())
-        free = [s for s in range(earlier.z.shape[1]) if s not in used and (k, s) not in taken]
+        used = set(earlier.rows.tolist())
+        columns = earlier.columns()
+        rows_there = earlier.row[columns].tolist()
+        free = [
+            column
+            for column, row in zip(columns.tolist(), rows_there, strict=True)
+            if row not in used and (k, row) not in taken
+        ]
         if not free:
             break
         state, cov = _one_frame_back(
@@ -623,7 +675,7 @@ def _back_dated(
         )
         state = means[0]
         cov = covs[0]
-        path.append((k, free[best]))
+        path.append((k, int(earlier.row[free[best]])))
         states.append(state[:, None])
     return path, model.sensor.boxes(np.hstack(states))
 

@@ -36,6 +36,7 @@ class Moment:
     estimates : the states.
     final : the links, between vertices, that can no longer change since this frame.
     z : (m, N) measurements.
+    row, class_id, score : (N,) of the detections that were measured.
     warp : the camera's motion since the frame before (`Model.warp`); all else lies in the frame's
         own pixels.
     """
@@ -46,7 +47,27 @@ class Moment:
     estimates: Estimates
     final: Links
     z: F8
+    row: I8
+    class_id: I8
+    score: F8
     warp: F8 = field(default_factory=lambda: STILL)
+
+    @property
+    def rows(self) -> I8:
+        """(n,) `Detections.row` of the detection that each state rests on, −1 for none."""
+        # The last place is for states that are only predicted.
+        row: I8 = np.append(self.row, -1)[self.estimates.detection]
+        return row
+
+    def columns(self) -> I8:
+        """One measurement for each detection, ascending by row: the last of those that share a
+        merged one.
+        """
+        if (self.row[1:] > self.row[:-1]).all():
+            return np.arange(len(self.row))
+        order = np.argsort(self.row, kind="stable")
+        rising = self.row[order]
+        return np.asarray(order[np.append(rising[1:] > rising[:-1], True)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +96,6 @@ class History:
             return History(self.full[gone:], self.recent, self.forgotten + CHUNK * gone)
         return self
 
-    @property
-    def oldest_frame(self) -> int:
-        """Number of the first frame that is held; 0 if there is none."""
-        return next((moment.number for moment in self), 0)
-
     def __len__(self) -> int:
         return self.forgotten + CHUNK * len(self.full) + len(self.recent)
 
@@ -107,15 +123,21 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
     # As an iterator: by its length, which counts what is forgotten, a list would ask for too much
     # memory.
     held = list(iter(moments))
-    shown = [m.z for m in held if m.z.shape[1]] or [m.z for m in held[:1]] or [np.zeros((0, 0))]
+    columns = [m.columns() for m in held]
+    count = [len(index) for index in columns]
+    each = list(zip(held, columns, strict=True))
+    shown = [m.z[:, index] for m, index in each if len(index)]
+    shown = shown or [m.z for m in held[:1]] or [np.zeros((0, 0))]
     moved = any(len(m.warp) for m in held)
-    count = [m.z.shape[1] for m in held]
     return MeasurementHistory(
         np.array([m.number for m in held], np.int64),
         np.array([m.time for m in held]),
         np.concatenate(([0], np.cumsum(count, dtype=np.int64))),
         np.hstack(shown),
         np.array([m.warp if len(m.warp) else np.eye(3) for m in held if moved]).reshape(-1, 3, 3),
+        np.concatenate([np.zeros(0, np.int64), *(m.row[index] for m, index in each)]),
+        np.concatenate([np.zeros(0, np.int64), *(m.class_id[index] for m, index in each)]),
+        np.concatenate([np.zeros(0), *(m.score[index] for m, index in each)]),
     )
 
 
@@ -141,7 +163,7 @@ def rows_of(
     time = np.array([m.time for m in moments])
     weight = np.concatenate([e.weight for e in every])[at]
     boxes = np.concatenate([e.xyxy for e in every])[at]
-    detection = np.concatenate([e.detection for e in every])[at]
+    detection = np.concatenate([m.rows for m in moments])[at]
     parts = [Tracks.of(number[place], name, boxes, weight, detection)]
     # Gaps of the same intervals are bridged together, as thousands of them take their time; under a
     # moving camera by place.

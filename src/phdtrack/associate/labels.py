@@ -31,7 +31,7 @@ from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCou
 from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning
 from phdtrack.models.warp import warp_states
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
+from phdtrack.types import F8, I8, Bool, Detections, Estimates, MeasurementHistory, Tracks
 
 # Verdicts that ``max_coast`` counts for; the share of those found again from which a missing track
 # is shown; how many are remembered of each age.
@@ -51,7 +51,7 @@ class LabelTable(NamedTuple):
 
     Attributes
     ----------
-    label, identity : its number, and the identity given to it; 0 before its first row.
+    label, identity : its number and its identity; 0 before its first row.
     states, last : its states that rest on detections, and the model time of the last of them.
     confirmed : whether it has been confirmed.
     """
@@ -109,7 +109,7 @@ class LabelledState:
     ----------
     history, recent : frames that no revision reaches any more, and those that one may reach.
     table : what is known of the labels in the first.
-    time, used : model time; identities given online.
+    time, used : model time; the highest identity of online rows.
     followed : who may be missing, and how those that were came back; nobody unless
         ``coast_by_evidence``.
     """
@@ -120,13 +120,6 @@ class LabelledState:
     time: float = 0.0
     used: int = 0
     followed: Followed = NOBODY
-
-    @property
-    def oldest_frame(self) -> int:
-        """Number of the first frame that is remembered; 0 before the first frame."""
-        if self.recent:
-            return self.history.oldest_frame or self.recent[0].number
-        return self.history.oldest_frame
 
     def __len__(self) -> int:
         return len(self.history) + len(self.recent)
@@ -176,6 +169,7 @@ class Labelled(Checked):
         state: LabelledState,
         estimates: Estimates,
         z: F8,
+        detections: Detections,
         number: int,
         dt: float,
         model: Model,
@@ -187,7 +181,18 @@ class Labelled(Checked):
         """
         time = state.time + dt
         settled = max(0, len(state.recent) - len(estimates.past))
-        now = Moment(number, time, 0, _one_each(estimates), NO_LINKS, z, model.warp)
+        now = Moment(
+            number,
+            time,
+            0,
+            _one_each(estimates),
+            NO_LINKS,
+            z,
+            detections.row,
+            detections.class_id,
+            detections.confidence,
+            model.warp,
+        )
         recent = list(state.recent[settled:])
         changed = [now]
         for k, seen in enumerate(estimates.past[len(estimates.past) - len(recent) :]):
@@ -207,14 +212,14 @@ class Labelled(Checked):
         due = len(extended) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
-        given, tracks = self._give(extended, due, present, model)
-        return self._recent(given, due, model), tracks
+        extended, tracks = self._emit(extended, due, present, model)
+        return self._recent(extended, due, model), tracks
 
     def flush(self, state: LabelledState, model: Model) -> Tracks:
         """The online rows of the last ``output_delay`` frames."""
         parts = []
         for due in range(max(0, len(state) - self.output_delay), len(state)):
-            state, tracks = self._give(state, due, state.table.counting(state.recent), model)
+            state, tracks = self._emit(state, due, state.table.counting(state.recent), model)
             parts.append(tracks)
         return Tracks.concatenate(parts)
 
@@ -240,7 +245,16 @@ class Labelled(Checked):
         """The measurements of everything that is remembered."""
         return measurements(itertools.chain(state.history, state.recent))
 
-    def _give(
+    def oldest(self, state: LabelledState) -> int:
+        """The number of the first frame that is remembered."""
+        first = next(itertools.chain(state.history, state.recent), None)
+        return first.number if first else 0
+
+    def numbered_after(self, state: LabelledState, identity: int) -> LabelledState:
+        """The state that numbers new tracks from ``identity`` + 1 on."""
+        return replace(state, used=identity)
+
+    def _emit(
         self, state: LabelledState, due: int, present: LabelTable, model: Model
     ) -> tuple[LabelledState, Tracks]:
         """The state with the identities of the frame at place ``due``, and its rows as it is seen
@@ -269,7 +283,8 @@ class Labelled(Checked):
         order = np.argsort(identity[place])
         e = estimates.select(shown[order])
         name = identity[place[order]]
-        rows = Tracks.of(moment.number, name, e.xyxy, e.weight, e.detection, confirmed[order])
+        row = moment.rows[shown[order]]
+        rows = Tracks.of(moment.number, name, e.xyxy, e.weight, row, confirmed[order])
         table = state.table._replace(identity=identity, confirmed=sure)
         return replace(state, table=table, used=state.used + len(fresh)), rows
 

@@ -21,8 +21,8 @@ import numpy as np
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import Checked, NonNegative, PositiveCount
 from phdtrack.models.scene import FalseAlarmRatio
-from phdtrack.protocols import Associator, FrameMemory, Model
-from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
+from phdtrack.protocols import Associator, Model
+from phdtrack.types import F8, I8, Bool, Detections, Estimates, MeasurementHistory, Tracks
 
 A = TypeVar("A")
 # Identities that are remembered online, besides those in view: cameras run for days.
@@ -38,11 +38,6 @@ class RejectionState(Generic[A]):
     inner: A
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     least: F8 = field(default_factory=lambda: np.zeros((2, 0)))
-
-    @property
-    def oldest_frame(self) -> int:
-        """Number of the first frame that is remembered; 0 if that is not known."""
-        return self.inner.oldest_frame if isinstance(self.inner, FrameMemory) else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +68,15 @@ class FalseTrackRejection(Checked, Generic[A]):
         state: RejectionState[A],
         estimates: Estimates,
         z: F8,
+        detections: Detections,
         number: int,
         dt: float,
         model: Model,
     ) -> tuple[RejectionState[A], Tracks]:
         """The associator's online rows, with what is confirmed."""
-        inner, rows = self.associator.extend(state.inner, estimates, z, number, dt, model)
+        inner, rows = self.associator.extend(
+            state.inner, estimates, z, detections, number, dt, model
+        )
         return self._judged(replace(state, inner=inner), rows)
 
     def flush(self, state: RejectionState[A], model: Model) -> Tracks:
@@ -96,6 +94,14 @@ class FalseTrackRejection(Checked, Generic[A]):
     def measurements(self, state: RejectionState[A]) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
         return self.associator.measurements(state.inner)
+
+    def oldest(self, state: RejectionState[A]) -> int:
+        """The number of the first frame that is remembered."""
+        return self.associator.oldest(state.inner)
+
+    def numbered_after(self, state: RejectionState[A], identity: int) -> RejectionState[A]:
+        """The state that numbers new tracks from ``identity`` + 1 on."""
+        return replace(state, inner=self.associator.numbered_after(state.inner, identity))
 
     def _judged(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Tracks]:
         """The rows, confirmed or not by their tracks' ratios, frame by frame."""

@@ -99,7 +99,7 @@ class MergedMeasurements(Checked):
         )
 
     def explain(
-        self, state: ExpectedTargets, detections: Detections, model: Model, dt: float
+        self, state: ExpectedTargets, detections: Detections, z: F8, model: Model, dt: float
     ) -> tuple[ExpectedTargets, Explanation]:
         """Predict the targets, and divide merged detections among them for the filter."""
         targets = _predicted(state, model, dt)
@@ -107,7 +107,6 @@ class MergedMeasurements(Checked):
             return targets, Explanation.unchanged(detections)
         sensor = model.sensor
         x = targets.state
-        z = sensor.measure(detections)
         known = np.isfinite(z).all(axis=0)
         clutter = np.ones(len(detections))
         clutter[known] = model.clutter.intensity(np.ascontiguousarray(z[:, known]))

@@ -31,7 +31,7 @@ import numpy as np
 
 from phdtrack.filters.particle_blocks import Intensity
 from phdtrack.kernels.esf import log_products, log_sums_without
-from phdtrack.types import F8, GaussianMixture, UpdateInfo
+from phdtrack.types import F8, GaussianMixture, UpdateInfo, false_alarm_share
 
 # Of the distribution's upper end, as much is cut as it adds to the mean.
 CUT = 1e-14
@@ -65,7 +65,14 @@ class UpdateTerms:
         """What the update learned, ``mass`` being that after it."""
         detected = self.mass - self.missed
         return UpdateInfo(
-            self.mass, self.born, mass, self.evidence, self.clutter, vanished, detected=detected
+            self.mass,
+            self.born,
+            mass,
+            self.evidence,
+            self.clutter,
+            false_alarm_share(self.clutter, self.evidence),
+            vanished,
+            detected=detected,
         )
 
     def phd(self) -> tuple[Any, UpdateInfo]:

@@ -42,7 +42,15 @@ from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.mcmc import Chain, jump_chain, make_options, pair_likelihoods
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Filter, Model, Sensor
-from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles, UpdateInfo
+from phdtrack.types import (
+    F8,
+    I8,
+    Estimates,
+    GaussianMixture,
+    Particles,
+    UpdateInfo,
+    false_alarm_share,
+)
 
 # The share of steps that move two candidates that compete for a measurement.
 SWAP_PROBABILITY = 0.2
@@ -186,8 +194,9 @@ class MCMC(Filter[JointSamples]):
         number = (options > can.first[:-1, None]).sum(axis=0)
         histogram = np.bincount(number) / len(number)
         mass = state.mass + born.mass
+        false_alarm = false_alarm_share(kappa, evidence)
         return samples, UpdateInfo(
-            mass, born.mass, samples.mass, evidence, kappa, vanished, histogram
+            mass, born.mass, samples.mass, evidence, kappa, false_alarm, vanished, histogram
         )
 
 

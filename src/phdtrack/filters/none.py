@@ -33,9 +33,11 @@ class NoFilter(Filter[Particles]):
     ) -> tuple[Particles, UpdateInfo]:
         """The states that would give the detections, weight 1 each."""
         n = z.shape[1]
-        seen, _ = model.sensor.states(z)
-        return Particles(seen, np.ones(n)), UpdateInfo(
-            float(n), float(n), float(n), np.ones(n), np.zeros(n)
+        mass = float(n)
+        one = np.ones(n)
+        zero = np.zeros(n)
+        return Particles(model.sensor.states(z)[0], one), UpdateInfo(
+            mass, mass, mass, one, zero, zero
         )
 
 

@@ -9,7 +9,7 @@ that the cost grows linearly with the number of targets. A mixture grows with ev
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ from phdtrack.kernels.gm_merge import Merging, Rows, merged_rows
 from phdtrack.kernels.gm_update import Newborn, Reach, mixture_of, phd_step, terms_of
 from phdtrack.models.gaussian import Transform, expected, measurements, moved, row_numbers
 from phdtrack.protocols import Filter, Model
-from phdtrack.types import F8, GaussianMixture, UpdateInfo
+from phdtrack.types import F8, GaussianMixture, UpdateInfo, false_alarm_share
 
 # Mass within this region of a detection explains it, M(z), and births around it have the mass of γ
 # there.
@@ -155,10 +155,14 @@ class GMPHD(Checked, Filter[GaussianMixture]):
             tuple(frame.rows), tuple(frame.expected), tuple(frame.measurements),
             (tuple(new.around), *new[1:-1], tuple(new.expected)), tuple(frame.reach), tuple(self._merging), axes,
         )  # fmt: skip
-        info = UpdateInfo(predicted, born, mass, evidence, frame.measurements.clutter, vanished)
+        clutter = frame.measurements.clutter
+        false_alarm = false_alarm_share(clutter, evidence)
         # D = (1 − p_D) D⁺ + Σ C/(κ + C).
-        detected = predicted - mass + float((1 - info.clutter_probability).sum())
-        return GaussianMixture(weight, mean, covariance), replace(info, detected=detected)
+        detected = predicted - mass + float((1 - false_alarm).sum())
+        info = UpdateInfo(
+            predicted, born, mass, evidence, clutter, false_alarm, vanished, detected=detected
+        )
+        return GaussianMixture(weight, mean, covariance), info
 
     def _predicted(self, state: GaussianMixture, model: Model, dt: float) -> Rows:
         """The predicted Gaussians, of weight 0 where none survives."""
@@ -174,7 +178,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         if len(born.weight):
             rows = Rows(*(np.concatenate(parts) for parts in zip(rows, born[1:], strict=True)))
         around = born.around
-        seen = measurements(model, z)
+        seen = measurements(sensor, z, model.clutter.intensity(z))
         observed = row_numbers(sensor.observed)
         volume, stretch = _newborn_shape(len(observed))
         said = expected(sensor, rows.mean, rows.covariance, self.transform)

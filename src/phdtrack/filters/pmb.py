@@ -55,7 +55,7 @@ with them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -280,72 +280,103 @@ class PMB(Checked, Filter[Bernoullis]):
         self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Bernoullis, UpdateInfo]:
         """Every target with the probabilities of the measurements that it may have, and new
-        targets.
+        targets [W15].
 
-        `UpdateInfo.clutter_probability` is that of a false alarm, static clutter and clutter that
-        lasts included.
+        `UpdateInfo.clutter_probability` counts static clutter and clutter that lasts as false
+        alarms.
         """
         now = state.present
-        label = state.next_label
-        seen = measurements(model, z)
+        # Clutter κ(z) and what scores say of it
+        clutter, scores = self._clutter(model, z, dt)
+        seen = measurements(model.sensor, z, clutter)
+        self._check_noise(len(seen.period))
+        gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
+        # Predicted measurements of known targets, and first detections of new ones: γ̂(z)
+        ahead = expected(model.sensor, now.mean, now.covariance, self.transform)
+        births = with_births(state.undetected, model, z, dt)
+        new = new_targets(model, births, seen, gate, self.transform)
+        # Gate, associate by belief propagation, update every Bernoulli target
+        settings = self._settings(gate, dt, scores.prior < CERTAIN)
+        # As plain tuples: Numba looks up the class of every named one, which takes as long as some
+        # kernels.
+        layer, learned, gone, weak = updated_layer(
+            *map(tuple, (now, ahead, seen, new, scores, settings)), state.next_label
+        )
+        predicted, born, mass, evidence, false_alarm, vanished, detected = learned
+        info = UpdateInfo(
+            predicted, born, mass, evidence, clutter, false_alarm, vanished, detected=detected
+        )
+        next_label = state.next_label
+        if len(layer.targets):
+            next_label = max(next_label, int(layer.targets[-1]["label"]) + 1)
+        # Recycle deleted targets into the undetected ones
+        undetected = state.undetected
+        if len(births.weight):
+            undetected = self._undetected(births, model, now, weak)
+        after = Bernoullis(
+            (*state.layers[:-1], layer),
+            self._with_ended(state, gone),
+            next_label,
+            undetected,
+            state.frame,
+        )
+        return after, info
+
+    def _clutter(self, model: Model, z: F8, dt: float) -> tuple[F8, Scores]:
+        """κ(z) (N,) without scores, and what the scores say of each measurement.
+
+        Only scores tell false alarms that last from targets.
+        """
+        clutter = model.clutter
+        if isinstance(clutter, ScoredClutter):
+            intensity = clutter.without_scores(z)
+            lasting = bool(clutter.log_odds.any())
+            scores = Scores(clutter.odds, clutter.log_odds, self._prior if lasting else CERTAIN)
+        else:
+            intensity = clutter.intensity(z)
+            nothing = np.zeros(z.shape[1])
+            scores = Scores(nothing + 1, nothing, CERTAIN)
         if self.clutter_decay and dt > 1:
-            seen = seen._replace(clutter=seen.clutter * dt**-self.clutter_decay)
-        if self.noise_freedom and len(seen.period) not in (2, 4):
-            problem = (
-                "noises are learned of measurements with 2 or 4 components, these have"
-                f" {len(seen.period)}"
-            )
+            intensity = intensity * dt**-self.clutter_decay
+        return intensity, scores
+
+    def _check_noise(self, components: int) -> None:
+        """Raise `InputError` if noises cannot be learned of measurements with so many components."""
+        if self.noise_freedom and components not in (2, 4):
+            problem = f"noises are learned of measurements with 2 or 4 components, these have {components}"
             raise InputError(
                 problem, where="filter.noise_freedom", cure="Use 0, the model's noises"
             )
-        gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
-        # Where scores tell false alarms that last, nothing is static clutter; else no others that
-        # last are known.
-        telling = isinstance(model.clutter, ScoredClutter) and bool(model.clutter.log_odds.any())
-        settings = Settings(
-            self.existence_threshold, self.hypothesis_threshold, float(self.max_hypotheses), self.merge_distance, gate,
-            0.0 if telling else self.static_clutter_prior / max(dt, 1.0), self.static_clutter_detection_probability,
+
+    def _settings(self, gate: float, dt: float, lasting: bool) -> Settings:
+        """The settings of the kernel. If scores tell ``lasting`` false alarms, none is static."""
+        static = 0.0
+        if not lasting:
+            static = self.static_clutter_prior / max(dt, 1.0)
+        return Settings(
+            self.existence_threshold,
+            self.hypothesis_threshold,
+            float(self.max_hypotheses),
+            self.merge_distance,
+            gate,
+            static,
+            self.static_clutter_detection_probability,
             self.noise_freedom,
             len(self.acceleration_factors),
-        )  # fmt: skip
-        said = expected(model.sensor, now.mean, now.covariance, self.transform)
-        births = with_births(state.undetected, model, z, dt)
-        new = new_targets(model, births, seen, gate, self.transform)
-        # As plain tuples: Numba looks up the class of every named one, which takes as long as some
-        # kernels.
-        nothing = np.zeros(len(seen.z))
-        clutter = model.clutter
-        if isinstance(clutter, ScoredClutter):
-            scored = (clutter.odds, clutter.log_odds)
-        else:
-            scored = (nothing + 1, nothing)
-        scores = Scores(*scored, self._prior if telling else CERTAIN)
-        layer, learned, gone, weak = updated_layer(
-            *map(tuple, (now, said, seen, new, scores, settings)), label
         )
-        if len(layer.targets):
-            label = max(label, int(layer.targets[-1]["label"]) + 1)
+
+    def _with_ended(self, state: Bernoullis, gone: I8) -> I8:
+        """`Bernoullis.ended` with the hypotheses of targets that are deleted now, and without those
+        that are too long ago.
+        """
         ended = state.ended
         # The oldest come first.
         if len(ended) and state.frame - ended[0, 0] > self.history:
             ended = ended[state.frame - ended[:, 0] <= self.history]
         if len(gone):
-            ended = np.vstack(
-                [ended, np.stack([np.full(len(gone), state.frame - 1), gone], axis=1)]
-            )
-        h = now.hypotheses
-        p_detect = np.where(
-            h["static"],
-            self.static_clutter_detection_probability,
-            (1 - h["occluded"]) * said.p_detect,
-        )
-        detected = float((now.targets["r"][h["target"]] * h["weight"]) @ p_detect)
-        info = replace(UpdateInfo(*learned), detected=detected)
-        if len(births.weight):
-            unseen = self._undetected(births, model, now, weak)
-        else:
-            unseen = state.undetected
-        return Bernoullis((*state.layers[:-1], layer), ended, label, unseen, state.frame), info
+            fresh = np.stack([np.full(len(gone), state.frame - 1), gone], axis=1)
+            ended = np.vstack([ended, fresh])
+        return ended
 
     def _undetected(self, births: Births, model: Model, now: Layer, weak: F8) -> GaussianMixture:
         """What is left of the births, and of the targets ``now`` those that are deleted, which

@@ -140,7 +140,7 @@ class PMBM(Checked, Filter[Hypotheses]):
         `UpdateInfo.clutter_probability` is that of a false alarm over all hypotheses.
         """
         leaves = state.leaves
-        seen = measurements(model, z)
+        seen = measurements(model.sensor, z, model.clutter.intensity(z))
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         seen, new, undetected = self._unassigned(state.undetected, seen, z, model, dt, gate)
         e = expected(model.sensor, leaves.mean, leaves.covariance, self.transform)
@@ -373,9 +373,10 @@ def _info(
     probability = state.probability
     count = len(clutter)
     share = probability[scores.leaf] * np.exp(scores.gain + scores.missed[scores.leaf])
-    total = clutter + new.density + sum_by(scores.measurement, share, count)
+    evidence = new.density + sum_by(scores.measurement, share, count)
+    explained = clutter + evidence > 0
     born = float(branches.unassigned @ scores.p_new)
-    false = branches.unassigned * (1 - scores.p_new)
+    false_alarm = np.where(explained, branches.unassigned * (1 - scores.p_new), 1.0)
     # log(1 − r p_D) is what a leaf contributes that is missed.
     detected = float(probability @ -np.expm1(scores.missed))
     mass = float(probability @ state.leaves.r) + born
@@ -383,9 +384,10 @@ def _info(
         mass,
         born,
         grown.mass,
-        (1 - false) * total,
-        false * total,
-        int(np.count_nonzero(total == 0)),
+        evidence,
+        clutter,
+        false_alarm,
+        int(np.count_nonzero(~explained)),
         detected=detected,
     )
 

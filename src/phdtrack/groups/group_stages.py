@@ -204,8 +204,7 @@ def on_ground(
     measured : the same detections as measurements on the ground, NaN for feet off the ground.
     model : of people on the ground.
     """
-    position = np.searchsorted(measured.number, tracks.frame)
-    column = measured.start[position] + tracks.detection
+    column = measured.columns(tracks)
     detected = np.flatnonzero(tracks.detection >= 0)
     off_ground = detected[np.isnan(measured.z[:, column[detected]]).any(axis=0)]
     detection = tracks.detection.copy()

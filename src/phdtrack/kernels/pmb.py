@@ -20,7 +20,7 @@ measurement (P).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -182,15 +182,22 @@ def updated_layer(
     scores: Scores,
     s: Settings,
     fresh: int,
-) -> tuple[Layer, tuple[float, float, float, F8, F8, int], I8, F8]:
-    """The targets after the measurements, with new ones, what was learned, and the targets that
-    have ended [W15].
+) -> tuple[Layer, tuple[float, float, float, F8, F8, int, float], I8, F8]:
+    """The targets after the measurements, with new ones, and what was learned [W15].
 
-    ``m`` has κ by their scores, κ(z)/odds; ``new``: what targets are whose first detections these
-    are, which are labelled from ``fresh`` on. What was learned is in the order of
-    `types.UpdateInfo`. Then come the best hypothesis of the frame before of each target that was
-    once confirmed and has been deleted, and (T,) the probabilities with which deleted targets
-    exist, 0 of others.
+    Parameters
+    ----------
+    layer, e : the predicted targets, and the measurements that they predict.
+    m, scores : the measurements with κ(z), and what their scores say.
+    new : the targets whose first detections these would be, which are labelled from ``fresh`` on.
+    s : settings of the filter.
+
+    Returns
+    -------
+    The targets; of `types.UpdateInfo` the predicted, the newborn and the updated mass, C(z), the
+    probabilities of false alarms, ``vanished`` and ``detected``; the best hypothesis of the frame
+    before of each target that was once confirmed and has been deleted; and (T,) the
+    probabilities with which deleted targets exist, 0 of others.
     """
     layer = Layer(*layer)
     e = Expected(*e)
@@ -201,40 +208,35 @@ def updated_layer(
     targets, hypotheses, mean, covariance = layer
     count = len(targets)
     n = len(m.z)
-    p_detect = np.empty(len(hypotheses))
-    tails = np.empty((len(hypotheses) if s.noise_freedom > 0.0 else 0, 3))
-    for c in range(len(hypotheses)):
-        h = hypotheses[c]
-        p_detect[c] = (
-            s.static_detection_probability if h.static else (1.0 - h.occluded) * e.p_detect[c]
-        )
-        if s.noise_freedom > 0.0:
-            tails[c, 0] = h.position_scale
-            tails[c, 1] = h.size_scale
-            tails[c, 2] = h.freedom
+    p_detect, tails = _detection_terms(hypotheses, e.p_detect, s)
+    # Gate
     pairs = gated(
         e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails
     )
+    # Associate
     exists = np.empty(count)
-    found = np.empty((3, n))
-    born, vanished, started, predicted = _associate(
-        targets,
-        hypotheses,
-        p_detect,
+    measured = np.empty((3, n))
+    born, vanished, started = _associate(
+        (targets, hypotheses, p_detect),
         pairs,
         exists,
-        m.clutter * scores.odds,
+        m.clutter,
         new.density,
         scores,
         s,
-        found,
+        measured,
     )
+    evidence, false_alarm, r_new = measured
+    predicted = 0.0
+    detected = 0.0
+    for t in range(count):
+        predicted += targets[t].presence
+        for c in range(targets[t].begin, targets[t].end):
+            detected += targets[t].r * hypotheses[c].weight * p_detect[c]
+    # Update each hypothesis with each of its measurements, and keep the most probable
     options = np.empty(len(hypotheses) + len(pairs), PAIR)
     kept = np.empty(count, np.int64)
-    k = _choose(
-        targets, hypotheses, p_detect, pairs, exists, s.existence_threshold, s.hypothesis_threshold, s.max_hypotheses,
-        options, kept,
-    )  # fmt: skip
+    k = _choose((targets, hypotheses, p_detect), pairs, exists, s, options, kept)
     options = options[:k]
     room = k + (1 + s.motions) * started
     d = mean.shape[1]
@@ -247,83 +249,101 @@ def updated_layer(
     write_posteriors(mean, covariance, e, m, options, out.mean, out.covariance)
     gone = np.empty(count, np.int64)
     t, k, lost, mass = _write_kept(
-        (layer, p_detect),
-        exists,
-        kept,
-        options,
-        scores,
-        s.merge_distance * s.merge_distance,
-        len(m.period) > 2,
-        out,
-        gone,
+        (layer, p_detect), exists, kept, options, scores, s, len(m.period) > 2, out, gone
     )
     exists[kept > 0] = 0.0
-    k, mass = _write_new(found[2], (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
+    # Add the new targets
+    k, mass = _write_new(r_new, (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
     after = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
-    return after, (born + predicted, born, mass, found[0], found[1], vanished), gone[:lost], exists
+    learned = (
+        born + predicted,
+        born,
+        mass,
+        evidence,
+        false_alarm,
+        vanished,
+        detected,
+    )
+    return after, learned, gone[:lost], exists
+
+
+@njit(**INNER)
+def _detection_terms(hypotheses: Records, p_detect: F8, s: Settings) -> tuple[F8, F8]:
+    """(C,) p_D of each hypothesis as it is, occluded or static; and (C, 3) what is known of its
+    noises, (0, 3) if they are the model's.
+
+    ``p_detect`` (C,) is the sensor's.
+    """
+    own = np.empty(len(hypotheses))
+    tails = np.empty((len(hypotheses) if s.noise_freedom > 0.0 else 0, 3))
+    for c in range(len(hypotheses)):
+        h = hypotheses[c]
+        own[c] = s.static_detection_probability if h.static else (1.0 - h.occluded) * p_detect[c]
+        if s.noise_freedom > 0.0:
+            tails[c, 0] = h.position_scale
+            tails[c, 1] = h.size_scale
+            tails[c, 2] = h.freedom
+    return own, tails
 
 
 @njit(**INNER)
 def _associate(
-    targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, clutter: F8, density: F8,
-    scores: Scores, s: Settings, found: F8,
-) -> tuple[float, int, int, float]:  # fmt: skip
+    before: tuple[Records, Records, F8],
+    pairs: Records,
+    exists: F8,
+    clutter: F8,
+    density: F8,
+    scores: Scores,
+    s: Settings,
+    measured: F8,
+) -> tuple[float, int, int]:
     """Write the probability of each pair as its weight, and those that a target exists and was
     missed into ``exists`` (T,).
 
-    ``p_detect`` (C,) is of hypotheses, ``clutter`` and ``density`` (N,) are κ and γ̂ without
-    scores. Writes into ``found`` (3, N) C(z) and κ(z), and the probability that a new target
-    exists. Returns the mass of new targets, how many measurements have κ + C = 0, how many begin
-    one, and the mass predicted.
+    ``before`` are the targets, their hypotheses and the p_D of these; ``clutter`` and ``density``
+    (N,) are κ and γ̂. Writes into ``measured`` (3, N) C(z), the probability of a false alarm, and
+    the probability that a new target exists. Returns the mass of new targets, how many measurements
+    have κ + C = 0, and how many begin a target.
     """
-    evidence = found[0]
-    false = found[1]
-    r_new = found[2]
+    evidence = measured[0]
+    false_alarm = measured[1]
+    r_new = measured[2]
+    hypotheses = before[1]
     first = np.empty(clutter.size)
     genuine = probability(scores.prior)
-    prior = s.static_clutter_prior
     for j in range(clutter.size):
         first[j] = density[j] * (1.0 + genuine * (scores.odds[j] - 1.0))
         evidence[j] = clutter[j] + first[j]
-    p_new = _weigh(targets, hypotheses, p_detect, pairs, exists, scores.odds, evidence)
+    p_new = _weigh(before, pairs, exists, scores.odds, evidence)
     born = 0.0
     vanished = 0
     started = 0
-    predicted = 0.0
     for j in range(clutter.size):
         alone = clutter[j] + first[j]
         alone = alone if alone > TINY else TINY
         p_target = first[j] / alone
         r_new[j] = p_new[j] * p_target
-        p_real = (1.0 - prior) * probability(after_score(scores.prior, scores, j))
+        p_real = (1.0 - s.static_clutter_prior) * probability(after_score(scores.prior, scores, j))
         born += p_new[j] * p_target * p_real
-        false[j] = p_new[j] * (clutter[j] / alone + p_target * (1.0 - p_real))
+        false_alarm[j] = p_new[j] * (clutter[j] / alone + p_target * (1.0 - p_real))
         if r_new[j] < s.existence_threshold and r_new[j] < 0.5 * p_target:
             r_new[j] = 0.0
         started += r_new[j] > 0.0
-        vanished += evidence[j] == 0.0
     for q in range(pairs.size):
         h = hypotheses[pairs[q].gaussian]
-        false[pairs[q].measurement] += pairs[q].weight * (
-            1.0 if h.static else 1.0 - probability(h.genuine)
-        )
+        share = 1.0 if h.static else 1.0 - probability(h.genuine)
+        false_alarm[pairs[q].measurement] += pairs[q].weight * share
     for j in range(clutter.size):
-        false[j] *= evidence[j]
-        evidence[j] -= false[j]
-    for t in range(targets.size):
-        predicted += targets[t].presence
-    return born, vanished, started, predicted
+        if evidence[j] == 0.0:
+            vanished += 1
+            false_alarm[j] = 1.0
+        evidence[j] -= clutter[j]
+    return born, vanished, started
 
 
 @njit(**INNER)
 def _weigh(
-    targets: Records,
-    hypotheses: Records,
-    p_detect: F8,
-    pairs: Records,
-    missed: F8,
-    odds: F8,
-    evidence: F8,
+    before: tuple[Records, Records, F8], pairs: Records, missed: F8, odds: F8, evidence: F8
 ) -> F8:
     """(N,) probability that a measurement is no target's; the others are written as by
     `_associate`.
@@ -331,31 +351,18 @@ def _weigh(
     ``odds`` (N,) are p(s|target)/p(s|false alarm). ``evidence`` is κ + γ̂, to which Σ r w p q
     p(s)/p(s|false alarm) is added; a lasting false alarm has the scores of false alarms.
     """
+    targets, hypotheses, p_detect = before
     edges = np.empty(pairs.size, EDGE)
-    place = np.empty(evidence.size, np.int64)
+    place = np.full(evidence.size, -1)
     edge_of = np.empty(pairs.size, np.int64)
-    alone = np.empty(evidence.size)
-    for j in range(place.size):
-        place[j] = -1
-        alone[j] = evidence[j] if evidence[j] > TINY else TINY
+    alone = np.maximum(evidence, TINY)
     # A literal zero is a type of its own.
     count = 0 * pairs.size
     q = 0 * pairs.size
     for t in range(targets.size):
         target = targets[t]
-        detected = 0.0
         begun = count
-        for c in range(target.begin, target.end):
-            detected += hypotheses[c].weight * p_detect[c]
-        if 1.0 - target.r * detected > NEVER:
-            miss = 1.0 - target.r * detected
-        else:
-            miss = NEVER
-        if detected < 1.0:
-            unseen = target.r * (1.0 - detected) / miss
-        else:
-            unseen = 0.0
-        missed[t] = unseen if unseen < 1.0 else 1.0
+        miss, missed[t] = _missed(target, hypotheses, p_detect)
         while q < pairs.size and pairs[q].gaussian < target.end:
             pair = pairs[q]
             c = pair.gaussian
@@ -388,18 +395,37 @@ def _weigh(
 
 
 @njit(**INNER)
+def _missed(target: Any, hypotheses: Records, p_detect: F8) -> tuple[float, float]:
+    """The probability that a target is not detected, 1 − r Σ w p, and that it then exists."""
+    detected = 0.0
+    for c in range(target.begin, target.end):
+        detected += hypotheses[c].weight * p_detect[c]
+    miss = 1.0 - target.r * detected
+    if miss <= NEVER:
+        miss = NEVER
+    if detected >= 1.0:
+        return miss, 0.0
+    exists = target.r * (1.0 - detected) / miss
+    return miss, exists if exists < 1.0 else 1.0
+
+
+@njit(**INNER)
 def _choose(
-    targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, least: float, share: float, most: float,
-    options: Records, kept: I8,
-) -> int:  # fmt: skip
+    before: tuple[Records, Records, F8],
+    pairs: Records,
+    exists: F8,
+    s: Settings,
+    options: Records,
+    kept: I8,
+) -> int:
     """Write the options of each target that are above the thresholds, the heaviest first; how many
     there are.
 
     An option is a `PAIR` of the hypothesis before and its measurement, −1 for none; its weight is
-    not normalised. ``kept`` and ``exists`` (T,) as by `_associate`. The second becomes the
-    probability that the target exists: it is kept from ``least`` on, with ``most`` options of no
-    less than the ``share`` of it.
+    not normalised. ``kept`` (T,) becomes how many options each target has, and ``exists`` (T,), as
+    by `_associate`, the probability that it exists.
     """
+    targets, hypotheses, p_detect = before
     q = 0 * pairs.size
     k = 0 * pairs.size
     for t in range(targets.size):
@@ -415,50 +441,59 @@ def _choose(
             q = q + 1
         if unseen > 0.0:
             unseen = exists[t] / unseen
-        else:
-            unseen = 0.0
         exists[t] = total if total < 1.0 else 1.0
         kept[t] = 0
         # A target whose probability has just risen may have begun, however rare births are.
-        if not (total >= least or total > target.r):
+        if not (total >= s.existence_threshold or total > target.r):
             continue
-        # First those with a measurement, then those without, each sorted in, the heaviest first.
-        for o in range(q - begun + target.end - target.begin):
-            i = begun + o
-            j = -1
-            value = 0.0
-            place = end
-            d2 = 0.0
-            first = 0.0
-            if i < q:
-                pair = pairs[i]
-                i = pair.gaussian
-                j = pair.measurement
-                value = pair.weight
-                d2 = pair.distance2
-                first = pair.first
-            else:
-                i += target.begin - q
-                value = unseen * hypotheses[i].weight * (1.0 - p_detect[i])
-            if value >= share * total and value > 0.0:
-                while place > k and options[place - 1].weight < value:
-                    options[place] = options[place - 1]
-                    place -= 1
-                option = options[place]
-                option.gaussian = i
-                option.measurement = j
-                option.weight = value
-                option.distance2 = d2
-                option.first = first
-                end += 1
-        kept[t] = end - k if end - k < most else int(most)
+        least = s.hypothesis_threshold * total
+        for i in range(begun, q):
+            pair = pairs[i]
+            if pair.weight >= least and pair.weight > 0.0:
+                end = _sorted_in(
+                    options,
+                    (k, end),
+                    (pair.gaussian, pair.measurement),
+                    (pair.weight, pair.distance2, pair.first),
+                )
+        for c in range(target.begin, target.end):
+            weight = unseen * hypotheses[c].weight * (1.0 - p_detect[c])
+            if weight >= least and weight > 0.0:
+                end = _sorted_in(options, (k, end), (c, -1), (weight, 0.0, 0.0))
+        kept[t] = end - k if end - k < s.max_hypotheses else int(s.max_hypotheses)
         k += kept[t]
     return k
 
 
 @njit(**INNER)
+def _sorted_in(
+    options: Records,
+    span: tuple[int, int],
+    names: tuple[int, int],
+    values: tuple[float, float, float],
+) -> int:
+    """Write an option among those of the ``span``, the heaviest first; the end of the span then.
+
+    ``names`` are its hypothesis and measurement; ``values`` its weight, and d² of all components
+    and of the first two.
+    """
+    begin, end = span
+    place = end
+    while place > begin and options[place - 1].weight < values[0]:
+        options[place] = options[place - 1]
+        place -= 1
+    option = options[place]
+    option.gaussian = names[0]
+    option.measurement = names[1]
+    option.weight = values[0]
+    option.distance2 = values[1]
+    option.first = values[2]
+    return end + 1
+
+
+@njit(**INNER)
 def probability(log_odds: float) -> float:
-    """Of these log odds."""
+    """The probability that corresponds to these log odds."""
     p: float = 1.0 / (1.0 + np.exp(-log_odds)) if log_odds < CERTAIN else 1.0
     return p
 
@@ -508,14 +543,21 @@ def heavier_like(hypotheses: Records, mean: F8, cov: F8, begin: int, k: int, lim
 
 @njit(**INNER)
 def _write_kept(
-    before: tuple[Layer, F8], exists: F8, kept: I8, options: Records, scores: Scores, limit: float, sizes: bool, out: Layer,
+    before: tuple[Layer, F8],
+    exists: F8,
+    kept: I8,
+    options: Records,
+    scores: Scores,
+    s: Settings,
+    sizes: bool,
+    out: Layer,
     gone: I8,
-) -> tuple[int, int, int, float]:  # fmt: skip
+) -> tuple[int, int, int, float]:
     """Write the targets that are kept into the first places of ``out``; how many targets and
     hypotheses there are.
 
-    ``before`` are the targets predicted, with the p_D of their hypotheses; ``out`` has the
-    Gaussians of the options with a measurement. Hypotheses within √``limit`` deviations of a
+    ``before`` are the predicted targets, with the p_D of their hypotheses; ``out`` has the
+    Gaussians of the options with a measurement. Hypotheses within `Settings.merge_distance` of a
     heavier one are counted as that one. ``sizes``: measurements have four components; of two the
     noise of all is theirs. The others are as of `_choose`. Of deleted targets that were once
     confirmed the best hypothesis of the frame before is written into ``gone`` (T,). Returns also
@@ -523,61 +565,34 @@ def _write_kept(
     """
     targets, hypotheses, mean, cov = out
     (old_targets, old, old_mean, old_cov), p_detect = before
+    limit = s.merge_distance * s.merge_distance
     number = 0
     k = 0 * kept.size
     end = 0 * kept.size
     lost = 0
     mass = 0.0
     for t in range(kept.size):
-        total = 0.0
         begin = k
         option = end
         end = end + kept[t]
         target = old_targets[t]
+        total = 0.0
         for i in range(option, end):
             total += options[i].weight
         for i in range(option, end):
             c = options[i].gaussian
-            h = hypotheses[k]
-            weight = options[i].weight / total
-            h.static = old[c].static
-            h.motion = old[c].motion
-            h.parent = old[c].parent
-            h.target = number
-            h.occluded = 0.0
-            h.detection = options[i].measurement
-            h.freedom = old[c].freedom
-            h.position_scale = old[c].position_scale
-            h.size_scale = old[c].size_scale
-            h.genuine = old[c].genuine
-            if h.detection >= 0:
-                h.genuine = after_score(h.genuine, scores, h.detection)
-            if h.detection < 0:
+            _write_hypothesis(hypotheses[k], old[c], options[i], p_detect[c], scores, sizes)
+            hypotheses[k].target = number
+            if options[i].measurement < 0:
                 copy_gaussian(old_mean, old_cov, c, mean, cov, k)
-                if not h.static:
-                    if 1.0 - p_detect[c] > TINY:
-                        seen = 1.0 - p_detect[c]
-                    else:
-                        seen = TINY
-                    if old[c].occluded < seen:
-                        h.occluded = old[c].occluded / seen
-                    else:
-                        h.occluded = 1.0
             elif k < i:
                 copy_gaussian(mean, cov, i, mean, cov, k)
-            if h.detection >= 0 and h.freedom > 0.0:
-                # Two components each, which are two observations of a variance.
-                n = h.freedom
-                first = options[i].first
-                d2 = options[i].distance2
-                h.position_scale = (n * h.position_scale + first) / (n + 2.0)
-                h.size_scale = (n * h.size_scale + (d2 - first if sizes else first)) / (n + 2.0)
-                h.freedom = n + 2.0
+            weight = options[i].weight / total
             heavier = heavier_like(hypotheses, mean, cov, begin, k, limit)
             if heavier < k:
                 hypotheses[heavier].weight += weight
             else:
-                h.weight = weight
+                hypotheses[k].weight = weight
                 k += 1
         if k > begin:
             mass += write_target(
@@ -588,6 +603,37 @@ def _write_kept(
             gone[lost] = old[target.best].parent
             lost += 1
     return number, k, lost, mass
+
+
+@njit(**INNER)
+def _write_hypothesis(
+    h: Any, before: Any, option: Any, p_detect: float, scores: Scores, sizes: bool
+) -> None:
+    """Write what becomes of a hypothesis ``before`` with an option, except target and weight."""
+    h.static = before.static
+    h.motion = before.motion
+    h.parent = before.parent
+    h.occluded = 0.0
+    h.detection = option.measurement
+    h.freedom = before.freedom
+    h.position_scale = before.position_scale
+    h.size_scale = before.size_scale
+    h.genuine = before.genuine
+    if option.measurement < 0:
+        if not h.static:
+            # Bayes: a miss is certain if the target is occluded.
+            missed = 1.0 - p_detect if 1.0 - p_detect > TINY else TINY
+            h.occluded = before.occluded / missed if before.occluded < missed else 1.0
+        return
+    h.genuine = after_score(h.genuine, scores, option.measurement)
+    if h.freedom > 0.0:
+        # Two components each, which are two observations of a variance [WH97 §10.8].
+        n = h.freedom
+        first = option.first
+        second = option.distance2 - first if sizes else first
+        h.position_scale = (n * h.position_scale + first) / (n + 2.0)
+        h.size_scale = (n * h.size_scale + second) / (n + 2.0)
+        h.freedom = n + 2.0
 
 
 @njit(**INNER)

@@ -124,7 +124,7 @@ class _ClutterProbabilities:
         step = tracked.step
         probability = np.zeros(len(tracked.detected.detections))
         if len(step.info.clutter_probability):
-            probability[tracked.kept] = step.info.clutter_probability
+            probability[step.detections.row] = step.info.clutter_probability
         self.values.append(probability)
         self._advance(len(self.values))
 

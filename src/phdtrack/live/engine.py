@@ -664,7 +664,7 @@ class Camera:
 
 def _held_frame(saved: HeldFrame) -> _HeldFrame:
     """A frame of an earlier run whose rows are not final yet; its picture is not known any more."""
-    nothing = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
+    nothing = UpdateInfo.without_update(0.0)
     detections = Detections.of(saved.xyxy)
     empty = Estimates.empty(0)
     step = Step(saved.number, saved.time, detections, nothing, empty, Tracks.empty())

@@ -114,17 +114,15 @@ class PlaneClutter:
 
 @dataclass(frozen=True, eq=False)
 class ScoredClutter:
-    """κ(z, s) of the detections of one frame, each with a score s, for a g(z|x) that leaves scores
-    out.
+    """κ(z) of the detections of one frame, and what the score s of each says.
 
-    With p(s|object) taken out of numerator and denominator of every ratio of the update, what is
-    left of the scores is κ(z)/odds, odds = p(s|object)/p(s|false alarm): a detection of low odds
-    can only be explained by a target that exists already, and starts none.
+    Filters whose g(z|x) leaves scores out take `intensity`. Those that weigh every explanation of a
+    detection by its score take `without_scores` and the odds.
 
     Parameters
     ----------
-    base : κ(z) without scores.
-    odds : (N,) of the detections, in the order in which ``intensity`` is asked for them.
+    base : κ(z), without scores.
+    odds : (N,) p(s|target)/p(s|false alarm) of the detections, in the order of the measurements.
     log_odds : (N,) log p(s|target)/p(s|lasting false alarm), for filters that know of false alarms
         that last.
     more : how many times as many false alarms there are as κ says.
@@ -135,8 +133,17 @@ class ScoredClutter:
     log_odds: F8
     more: float = 1.0
 
+    def without_scores(self, z: F8) -> F8:
+        """(N,) more·κ(z), whatever the scores."""
+        return self.base.intensity(z) * self.more
+
     def intensity(self, z: F8) -> F8:
-        """more·κ(z)/odds. Raises `InputError` for other detections than those with the odds."""
+        """(N,) more·κ(z)/odds: with p(s|target) taken out of every ratio of the update, what scores
+        leave. A detection of low odds can only be explained by a target that exists already, and
+        starts none.
+
+        Raises `InputError` for other detections than those with the odds.
+        """
         if z.shape[1] != len(self.odds):
             raise InputError(
                 f"expected the {len(self.odds)} detections that the odds are of, got {z.shape[1]}"

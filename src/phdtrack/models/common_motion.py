@@ -33,7 +33,7 @@ from phdtrack.kernels.common_motion import LEAST, differences, frame_motion
 from phdtrack.models import warp as warp_of
 from phdtrack.models.gaussian import moved
 from phdtrack.protocols import CameraEstimator, Model
-from phdtrack.types import F8, STILL, Detections, Estimates
+from phdtrack.types import F8, STILL, Estimates
 
 # Seconds after which the camera's velocity counts for 37 %: it is in the targets' own by then.
 VELOCITY_MEMORY = 1.5
@@ -122,7 +122,7 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         return CameraState()
 
     def between(
-        self, state: CameraState, detections: Detections, model: Model, dt: float, given: F8
+        self, state: CameraState, z: F8, model: Model, dt: float, given: F8
     ) -> tuple[CameraState, F8]:
         """The camera's motion since the last frame, and the state with what was learned from it."""
         fading = math.exp(-dt / (model.rate * VELOCITY_MEMORY))
@@ -131,7 +131,6 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             bases.append(
                 _after(similarity(self._of_note(-fading * dt * state.left), self._frame), given)
             )
-        z = model.sensor.measure(detections if detections.observed else Detections.empty())
         if not z.shape[1] or not len(state.mean):
             warp = bases[-1 if state.followed else 0]
             return self._moved(state, warp, given, dt, fading), warp

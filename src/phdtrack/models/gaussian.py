@@ -141,11 +141,11 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     return Expected(rows, z, _product(step, step), cross, noise, p_detect)
 
 
-def measurements(model: Model, z: F8) -> Measurements:
-    """The measurements ``z`` (m, N) of a frame, with their noise and κ(z)."""
-    period = _periods(model.sensor.angles)
+def measurements(sensor: Sensor, z: F8, clutter: F8) -> Measurements:
+    """The measurements ``z`` (m, N) of a frame with their noise; ``clutter`` (N,) is κ(z)."""
+    period = _periods(sensor.angles)
     rows = np.ascontiguousarray(z[: len(period)].T)
-    return Measurements(rows, model.sensor.measurement_noise(z), model.clutter.intensity(z), period)
+    return Measurements(rows, sensor.measurement_noise(z), clutter, period)
 
 
 @lru_cache(maxsize=8)

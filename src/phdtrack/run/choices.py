@@ -33,9 +33,7 @@ def chosen_settings(
         return settings
     # Filter and extraction, if they can use more than one.
     parallel = [
-        name
-        for name in ("filter", "extract")
-        if "threads" in settable(name, settings.kind(name))
+        name for name in ("filter", "extract") if "threads" in settable(name, settings.kind(name))
     ]
     return overlay(
         settings, {name: {"threads": tracking.threads} for name in parallel}, "--threads"

@@ -15,7 +15,7 @@ from phdtrack.detect.base import Detector, detect_all, pose_of
 from phdtrack.pipeline import TrackingState
 from phdtrack.run.camera_motion import Mover
 from phdtrack.tracker import Tracker, uninterrupted
-from phdtrack.types import F8, I8, STILL, Detections, DetectionTable, Frame, Image, Step, Tracks
+from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, Step, Tracks
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
 
@@ -53,18 +53,6 @@ class TrackedFrame(NamedTuple):
     step: Step
     rows: Tracks
     state: TrackingState
-
-    @property
-    def kept(self) -> I8:
-        """(n,) the rows of the detections that were tracked; the others were left out."""
-        every = self.detected.detections
-        kept = self.step.detections
-        if len(kept) == len(every):
-            return np.arange(len(every))
-        same = (kept.xyxy[:, None] == every.xyxy).all(axis=2)
-        same &= kept.confidence[:, None] == every.confidence
-        same &= kept.class_id[:, None] == every.class_id
-        return np.asarray(same.argmax(axis=1), np.int64)
 
 
 class FrameObserver(Protocol):

@@ -7,12 +7,12 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 from phdtrack.files import return_memory
+from phdtrack.final_rows import FinalTracks
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter
 from phdtrack.run import directory as rundir
 from phdtrack.run.annotated_video import LiveVideo
 from phdtrack.run.loop import TrackedFrame
 from phdtrack.run.running import Progress, Run
-from phdtrack.tracker import FinalTracks
 from phdtrack.types import Tracks
 
 

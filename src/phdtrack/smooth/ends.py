@@ -42,8 +42,7 @@ def continued(
     row, step, velocity = _ends(tracks, measurements)
     free = np.isfinite(boxes.sum(axis=1))
     place = np.searchsorted(measurements.number, tracks.frame)
-    detected = tracks.detection >= 0
-    free[measurements.start[place[detected]] + tracks.detection[detected]] = False
+    free[measurements.columns(tracks)[tracks.detection >= 0]] = False
     added = [tracks]
     at = place[row].copy()
     missed = np.zeros(len(row), np.int64)
@@ -69,7 +68,7 @@ def continued(
                 tracks.identity[row[end]],
                 boxes[column],
                 tracks.confidence[row[end]],
-                column - measurements.start[frame],
+                measurements.row[column],
             )
         )
     return Tracks.concatenate(added)

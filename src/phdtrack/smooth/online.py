@@ -49,14 +49,14 @@ class ShareState:
 
     Attributes
     ----------
-    waiting : number, seconds and boxes (n, 4) of the frames whose rows are still to come, the
-        oldest first.
+    waiting : number, seconds, `Detections.row` (n,) and boxes (n, 4) of the frames whose rows are
+        still to come, the oldest first.
     last : the two frames before.
     sums : (2, 4) of centres and of sizes: of products, of squares, how many, and the mean size of m
         − z.
     """
 
-    waiting: tuple[tuple[int, float, F8], ...] = ()
+    waiting: tuple[tuple[int, float, I8, F8], ...] = ()
     last: tuple[Shown, Shown] = (Shown(), Shown())
     sums: F8 = field(default_factory=lambda: np.zeros((2, 4)))
 
@@ -77,13 +77,9 @@ class DetectionShare:
     def advance(
         self, state: ShareState, tracks: Tracks, detections: Detections, number: int, time: float
     ) -> tuple[ShareState, Tracks]:
-        """The state and the rows with the boxes that are shown; rows name a detection by its place
-        in their frame.
-        """
-        return self.shown(
-            ShareState((*state.waiting, (number, time, detections.xyxy)), state.last, state.sums),
-            tracks,
-        )
+        """The state and the rows with the boxes that are shown."""
+        frame = (number, time, detections.row, detections.xyxy)
+        return self.shown(replace(state, waiting=(*state.waiting, frame)), tracks)
 
     def shown(self, state: ShareState, tracks: Tracks) -> tuple[ShareState, Tracks]:
         """The state after these rows, all of frames that it waits for, and the rows with the boxes
@@ -96,10 +92,11 @@ class DetectionShare:
         xyxy = tracks.xyxy.copy()
         until = int(tracks.frame[-1])
         detected = tracks.detection >= 0
-        for number, time, boxes in state.waiting:
+        for number, time, row, boxes in state.waiting:
             rows = np.flatnonzero(detected & (tracks.frame == number))
             if number <= until and len(rows):
-                now = Shown(time, tracks.identity[rows], boxes[tracks.detection[rows]], xyxy[rows])
+                seen = boxes[np.searchsorted(row, tracks.detection[rows])]
+                now = Shown(time, tracks.identity[rows], seen, xyxy[rows])
                 sums = _learned(sums, *last, now)
                 last = (last[1], now)
                 xyxy[rows] = between(now.seen, now.filtered, *_share(sums))

@@ -66,7 +66,7 @@ def paths_of(tracks: Tracks, measurements: MeasurementHistory) -> Paths:
     people) belongs to none of them.
     """
     place = np.searchsorted(measurements.number, tracks.frame)
-    column = np.where(tracks.detection >= 0, measurements.start[place] + tracks.detection, -1)
+    column = measurements.columns(tracks)
     shared = np.bincount(column[column >= 0], minlength=measurements.z.shape[1]) > 1
     column[column >= 0] = np.where(shared[column[column >= 0]], -1, column[column >= 0])
     order = np.lexsort((place, tracks.identity))
