@@ -229,7 +229,7 @@ class Sampled:
             weight = np.exp(np.asarray(self.state.log_weight, float))
             old = Particles(_plain(self.state.state_vector), weight, np.array([0, len(weight)]))
             moved = ParticlePHD().predict(old, self.model, 1.0, self.rng).particles()
-            apart = z[:, :, None] - sensor.expected(moved.state)[:, None, :]
+            apart = z[:, :, None] - sensor.predicted_measurements(moved.state)[:, None, :]
             variance = np.diag(sensor.covariance(z[:, :1], moved.state[:, :1])[0])
             near = (apart**2 / variance[:, None, None]).sum(axis=0) <= REGION
             covered = near @ moved.weight

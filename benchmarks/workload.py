@@ -190,6 +190,6 @@ class Uncovered:
         """Return the Gaussians of the wrapped birth model."""
         return self.birth.gaussians(z, sensor, seconds)
 
-    def expected(self, z: F8, seconds: float) -> float:
+    def expected_count(self, z: F8, seconds: float) -> float:
         """That of the wrapped birth model."""
-        return self.birth.expected(z, seconds)
+        return self.birth.expected_count(z, seconds)

@@ -217,9 +217,9 @@ class BearingSensor(PositionSensor):
 
     def measure(self, detections: Detections) -> F8:
         """(2, N) bearings and ranges of the middles of boxes on the plane, metres."""
-        return self.expected(to_cxcywh(detections.xyxy))
+        return self.predicted_measurements(to_cxcywh(detections.xyxy))
 
-    def expected(self, x: F8) -> F8:
+    def predicted_measurements(self, x: F8) -> F8:
         """(2, …) bearing and range of the positions, the first two rows of ``x`` [V06 §IV-C]."""
         east = x[0] - self.origin[0]
         north = x[1] - self.origin[1]
@@ -240,7 +240,9 @@ class BearingSensor(PositionSensor):
         """p_D, falling with the range where ``fade`` says so."""
         if self.fade == 0:
             return np.full(x.shape[1], self.detection_probability)
-        out: F8 = self.detection_probability * np.exp(-0.5 * (self.expected(x)[1] / self.fade) ** 2)
+        out: F8 = self.detection_probability * np.exp(
+            -0.5 * (self.predicted_measurements(x)[1] / self.fade) ** 2
+        )
         return out
 
     def particle_model(self, z: F8) -> SensorNumbers:
@@ -306,7 +308,9 @@ class BearingSensor(PositionSensor):
         what is not measured.
         """
         out = np.empty((5, x.shape[1]))
-        out[:2] = np.sqrt(np.diagonal(self._plane_covariance(self.expected(x)), axis1=1, axis2=2).T)
+        out[:2] = np.sqrt(
+            np.diagonal(self._plane_covariance(self.predicted_measurements(x)), axis1=1, axis2=2).T
+        )
         out[2:4] = self.birth_speed / math.sqrt(2)
         out[4] = self.turn
         return out

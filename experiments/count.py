@@ -110,7 +110,7 @@ class SceneBirth:
             "the births of the counting scene have no Gaussian form", cure="Use a particle filter"
         )
 
-    def expected(self, z: F8, seconds: float) -> float:
+    def expected_count(self, z: F8, seconds: float) -> float:
         """Births in so many seconds."""
         return 25 * self.rate * seconds
 

@@ -208,7 +208,7 @@ def updated(model: Model, rows: list[int], mean: F8, cov: F8, z: F8) -> tuple[F8
     cross = cov[:, :, rows]
     innovation = cross[:, rows] + model.sensor.covariance(z, mean)
     gain = np.linalg.solve(innovation, cross.transpose(0, 2, 1)).transpose(0, 2, 1)
-    step = model.sensor.innovation(z, model.sensor.expected(mean))
+    step = model.sensor.innovation(z, model.sensor.predicted_measurements(mean))
     return mean + np.einsum("pdr,rp->dp", gain, step), cov - gain @ cross.transpose(0, 2, 1)
 
 

@@ -155,5 +155,5 @@ def _fits(origin: F8, dt: float, z: F8, model: Model) -> F8:
     rows = np.array(sensor.observed)
     inverse = np.linalg.inv(noise[:, rows[:, None], rows] + sensor.covariance(z, moved))
     apart = (step[:, rows] @ (origin - mean[:, :, None]).transpose(1, 0, 2)).transpose(1, 0, 2)
-    apart = sensor.innovation(z, sensor.expected(moved))[:, :, None] - apart
+    apart = sensor.innovation(z, sensor.predicted_measurements(moved))[:, :, None] - apart
     return np.asarray(-0.5 * np.einsum("inr,nij,jnr->nr", apart, inverse, apart))

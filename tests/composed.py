@@ -39,7 +39,7 @@ def drawn(motion: Motion, x: F8, dt: float, rng: np.random.Generator) -> F8:
 
 def gaussian_view(sensor: Sensor, z: F8, x: F8) -> tuple[F8, F8]:
     """(P,) d² and log N(z; h(x), R) of pairs of columns."""
-    step = sensor.innovation(z, sensor.expected(x)).T
+    step = sensor.innovation(z, sensor.predicted_measurements(x)).T
     noise = sensor.covariance(z, x)
     distance2 = (step * np.linalg.solve(noise, step[:, :, None])[:, :, 0]).sum(axis=1)
     return distance2, -0.5 * (distance2 + np.linalg.slogdet(2 * np.pi * noise)[1])

@@ -67,9 +67,7 @@ def classes_of(rows: Tracks) -> list[set[int]]:
 @pytest.mark.parametrize(
     "settings", [{}, {"preset": "default"}, {"associate": {"output_delay": 3}}], ids=str
 )
-def test_each_class_is_tracked_as_if_it_were_alone_and_no_identity_changes_class(
-    late: int, settings
-) -> None:
+def test_each_class_is_tracked_as_if_alone(late: int, settings) -> None:
     frames = crossing(late)
     tracker, online = run(frames, **settings)
     corrected = tracker.tracks()
@@ -82,7 +80,7 @@ def test_each_class_is_tracked_as_if_it_were_alone_and_no_identity_changes_class
     assert np.unique(corrected.identity).tolist() == list(range(1, corrected.identity.max() + 1))
 
 
-def test_without_classes_tracks_go_from_one_object_to_another_and_one_class_is_as_none() -> None:
+def test_one_class_is_tracked_as_without_classes() -> None:
     frames = crossing()
     rows = run([Detections.of(found.xyxy, found.confidence) for found in frames], preset="mot15")[
         0
@@ -118,7 +116,7 @@ def test_classes_tracked_together_vote_with_their_scores() -> None:
     assert set(Tracks.concatenate(rows).identity.tolist()) == {1, 2}
 
 
-def test_what_is_not_asked_for_is_left_out_and_rows_count_detections_as_given() -> None:
+def test_unselected_classes_are_left_out_and_rows_keep_numbers() -> None:
     own = {
         "1": {"min_score": 0.5},
         "2": {"min_size": 101.0},

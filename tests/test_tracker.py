@@ -322,7 +322,7 @@ def test_two_trackers_share_nothing(kind: str, scene):
     assert set(b.tracks().identity) == {1, 2}
 
 
-def test_nothing_is_followed_in_a_long_empty_sequence_and_targets_are_found_after_it():
+def test_targets_are_found_after_a_long_empty_sequence():
     tracker = Tracker(SIZE)
     for _ in range(3000):
         assert len(tracker.update([])) == 0

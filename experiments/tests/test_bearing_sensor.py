@@ -16,7 +16,7 @@ from phdtrack.filters import GMPHD
 from phdtrack.kernels.gaussian import PAIR, Measurements, all_posteriors
 from phdtrack.kernels.mcmc import pair_likelihoods
 from phdtrack.models import FixedBirth, UniformClutter
-from phdtrack.models.gaussian import expected
+from phdtrack.models.gaussian import predicted_measurements
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
@@ -38,7 +38,8 @@ def pairs(z: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_bearings_are_from_the_y_axis_towards_the_x_axis():
     x = at((100, 50), (200, -50), (100, -150), (0, -50))
     np.testing.assert_allclose(
-        SENSOR.expected(x), [[0, math.pi / 2, math.pi, -math.pi / 2], [100, 100, 100, 100]]
+        SENSOR.predicted_measurements(x),
+        [[0, math.pi / 2, math.pi, -math.pi / 2], [100, 100, 100, 100]],
     )
 
 
@@ -49,7 +50,7 @@ def test_the_likelihood_integrates_to_one(place: tuple[float, float]):
     """
     x = at(place)
     theta = (np.arange(2000) + 0.5) / 2000 * 2 * math.pi - math.pi
-    centre = SENSOR.expected(x)[1, 0]
+    centre = SENSOR.predicted_measurements(x)[1, 0]
     r = centre + 10 * np.linspace(-6, 6, 601)
     z = np.stack([np.repeat(theta, 601), np.tile(r, 2000)])
     _, density = pairs(z, np.repeat(x, z.shape[1], axis=1))
@@ -68,7 +69,9 @@ def test_whole_turns_change_nothing(bearing: float, turns: int, r: float):
         rtol=1e-9,
         atol=1e-9,
     )
-    assert (np.abs(SENSOR.innovation(round_, SENSOR.expected(x))[0]) <= math.pi + 1e-12).all()
+    assert (
+        np.abs(SENSOR.innovation(round_, SENSOR.predicted_measurements(x))[0]) <= math.pi + 1e-12
+    ).all()
 
 
 @settings(max_examples=200, deadline=None)
@@ -127,7 +130,7 @@ def corrected(
         np.empty(state.mean.T.shape),
         np.empty(state.covariance.shape),
     )
-    seen = expected(sensor, mean, state.covariance, "unscented")
+    seen = predicted_measurements(sensor, mean, state.covariance, "unscented")
     measured = Measurements(z.T.copy(), np.zeros((0, 2, 2)), np.zeros(1), (2 * math.pi, 0.0))
     all_posteriors(mean, state.covariance, seen, measured, np.zeros(1, PAIR), after, cov)
     return after.T, cov
@@ -141,9 +144,9 @@ def gaussian(place: tuple[float, float], sd: float) -> GaussianMixture:
 def test_sigma_points_have_the_moments_of_draws(place: tuple[float, float], rng):
     """400 000 draws; the second Gaussian lies across the cut at ±π."""
     state = gaussian(place, 50.0)
-    seen = expected(SENSOR, state.mean.T.copy(), state.covariance, "unscented")
+    seen = predicted_measurements(SENSOR, state.mean.T.copy(), state.covariance, "unscented")
     x = rng.multivariate_normal(state.mean[:, 0], state.covariance[0], 400_000).T
-    step = SENSOR.innovation(SENSOR.expected(x), seen.z.T)
+    step = SENSOR.innovation(SENSOR.predicted_measurements(x), seen.z.T)
     spread = np.cov(step)
     assert (
         np.abs(step.mean(1))
@@ -182,7 +185,7 @@ def test_turning_target_is_tracked_within_the_covariance(rng):
             speed = noise[2, 2]
             moved = both / np.sqrt(speed) * push + np.sqrt(place - both**2 / speed) * rest
             x = mean + np.vstack([moved, np.sqrt(speed) * push, np.sqrt(noise[4, 4]) * turn])
-            z = sensor.expected(x) + rng.normal(size=(2, 1)) * [[0.01], [5.0]]
+            z = sensor.predicted_measurements(x) + rng.normal(size=(2, 1)) * [[0.01], [5.0]]
             state = recursion.predict(state, model, 1.0, rng)
             mean, cov = corrected(state, z, sensor)
             state = GaussianMixture(np.ones(1), mean, cov)

@@ -68,7 +68,7 @@ def test_measurements_scatter_as_the_sensor_says():
         ):
             own = source > 0
             x = state[:, np.searchsorted(identity, source[own])]
-            steps.append(sensor.innovation(z[:, own], sensor.expected(x)))
+            steps.append(sensor.innovation(z[:, own], sensor.predicted_measurements(x)))
             false.append(z[:, ~own])
             seen = seen + int(own.sum())
             there = there + len(identity)

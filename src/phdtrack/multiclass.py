@@ -269,11 +269,11 @@ class _ClassPipeline:
         rows = pipeline.finish(self.stages, self.state)
         if not self.together:
             return _with_class(rows, label)
-        seen = self.stages.associator.measurements(self.state.association)
+        measured = self.stages.associator.measurements(self.state.association)
         votes: Votes = {}
         detected = np.flatnonzero(rows.detection >= 0)
-        column = seen.columns(rows)[detected]
-        _vote(rows.identity[detected], seen.class_id[column], seen.score[column], votes)
+        column = measured.columns(rows)[detected]
+        _vote(rows.identity[detected], measured.class_id[column], measured.score[column], votes)
         return _with_best_class(rows, label, votes)
 
     def _count(self, rows: Tracks, votes: Votes) -> None:
@@ -326,12 +326,12 @@ class ClassPipelines:
         )
 
     def skip(self, count: int) -> None:
-        """Leave out as many identities, as another run may have given them."""
+        """Leave out as many identities, which another run may have used."""
         self.highest += count
 
     @property
     def drawn(self) -> bool:
-        """Whether anything was drawn at random."""
+        """True if anything was drawn at random."""
         fresh = np.random.default_rng(self._seed).bit_generator
         used = [one.rng.bit_generator for one in (*self._pipelines.values(), self._blank)]
         # What a generator has drawn moves its state on; what it has spawned it counts.

@@ -82,8 +82,8 @@ class Sensor(Protocol):
 
     @property
     def linear(self) -> bool:
-        """Whether `expected` is the ``observed`` rows of the state. Of others Gaussians need sigma
-        points.
+        """Whether `predicted_measurements` is the ``observed`` rows of the state. Of others
+        Gaussians need sigma points.
         """
 
     def measure(self, detections: Detections) -> F8:
@@ -91,7 +91,7 @@ class Sensor(Protocol):
         possible state.
         """
 
-    def expected(self, x: F8) -> F8:
+    def predicted_measurements(self, x: F8) -> F8:
         """(r, L) the first components of z that targets at ``x`` (d, L) give, noise aside; of a
         linear sensor rows of x.
         """
@@ -104,8 +104,8 @@ class Sensor(Protocol):
         """
 
     def covariance(self, z: F8, x: F8) -> F8:
-        """(P, r, r) noise covariance R of what `expected` gives, for pairs of columns of ``z`` (m,
-        P) and ``x`` (d, P).
+        """(P, r, r) noise covariance R of what `predicted_measurements` gives, for pairs of columns
+        of ``z`` (m, P) and ``x`` (d, P).
 
         With `innovation` it is the Gaussian view of g: d² = εᵀR⁻¹ε. It is the sum of `target_noise`
         and `measurement_noise`.
@@ -113,8 +113,8 @@ class Sensor(Protocol):
 
     @property
     def angles(self) -> tuple[bool, ...]:
-        """(r,) which components of `expected` are angles in radians, compared the short way
-        round.
+        """(r,) which components of `predicted_measurements` are angles in radians, compared the
+        short way round.
         """
 
     def target_noise(self, x: F8) -> F8:
@@ -182,7 +182,7 @@ class Birth(Protocol):
         form.
         """
 
-    def expected(self, z: F8, seconds: float) -> float:
+    def expected_count(self, z: F8, seconds: float) -> float:
         """∫γT over everything: the expected number of births, those that no measurement of ``z``
         (m, N) shows included.
         """
@@ -246,7 +246,8 @@ class Model:
 
 
 S = TypeVar("S")
-LONGEST_LIFE = 600.0  # Seconds that a target stays at most in the mean, where births of a long gap are counted.
+# Mean seconds that a target stays at most, when births of a long gap are counted.
+LONGEST_LIFE = 600.0
 
 
 class Filter(Protocol[S]):

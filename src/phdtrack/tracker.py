@@ -45,7 +45,7 @@ class Tracker:
     Parameters
     ----------
     frame_size : width and height of the images in pixels.
-    fps : frames per second, used where `update` is given no timestamp.
+    fps : frames per second, used if `update` gets no timestamp.
     seed : seed of the particle filter's randomness; the same seed and detections give the same
         tracks.
     filter : ``pmb``, ``gm-phd``, ``particle-phd``, ``gm-cphd``, ``particle-cphd``, ``mht``,
@@ -80,18 +80,15 @@ class Tracker:
             )
         if _whole(seed, "Tracker(seed=…)") < 0:
             raise InputError(f"expected a seed from 0, got {seed}", where="Tracker(seed=…)")
-        # Whether it is to be said that something was forgotten; the size of the frames where the
-        # settings are for one.
+        # Whether to warn when frames are forgotten; the size of the frames if the settings are for
+        # one.
         self._forgets = False
         self._frame_size = ""
         if stages is None:
             if frame_size is None:
                 cure = "Give frame_size=(width, height)"
                 raise InputError("the size of the images is not known", where="Tracker", cure=cure)
-            if settings is not None:
-                path = Path(settings)
-            else:
-                path = None
+            path = None if settings is None else Path(settings)
             if filter:
                 sections["filter"] = {"kind": filter} if isinstance(filter, str) else filter
             loaded = config.overlay(config.load(path, preset=preset), sections, "Tracker")
@@ -199,8 +196,8 @@ class Tracker:
         """Compile the kernels that these settings use, or load those that are kept, now and not in
         the first updates.
 
-        Another tracker of the same settings is given frames of boxes that are made up; what this
-        one gives is the same to the bit. Without it the first update of a new installation takes
+        Another tracker of the same settings gets frames of made-up boxes; the results of this one
+        stay the same to the bit. Without it the first update of a new installation takes
         some ten seconds, which the logger ``phdtrack`` says, and that of each later process one or
         two.
         """
@@ -216,10 +213,10 @@ class Tracker:
         start = np.linspace([0.2, 0.55], [0.7, 0.9], n)
         step = np.array([0.004, 0.001])
         for k in range(1, 26):
-            seen = start[:0]
+            shown = start[:0]
             if k % 8:
-                seen = start[rng.random(n) < 0.8]
-            corner = np.vstack([seen + k * step, rng.random((k % 3, 2))]) * size
+                shown = start[rng.random(n) < 0.8]
+            corner = np.vstack([shown + k * step, rng.random((k % 3, 2))]) * size
             box = np.hstack([corner, corner + [0.03, 0.15] * size])
             label = np.resize([*self.classes.only, *self.classes.own] or [0], len(box))
             found = Detections.of(box, rng.uniform(0.3, 1.0, len(box)), label)

@@ -129,10 +129,7 @@ class Detections:
 
     def select(self, index: I8 | Bool) -> Detections:
         """The detections at ``index`` (integers or a mask), in that order."""
-        if self.covariance is None:
-            cov = None
-        else:
-            cov = self.covariance[index]
+        cov = None if self.covariance is None else self.covariance[index]
         return Detections(
             self.xyxy[index],
             self.confidence[index],
@@ -474,10 +471,7 @@ class Estimates:
     def select(self, index: I8 | Bool) -> Estimates:
         """The states at ``index`` (integers or a mask), in that order."""
         state = np.ascontiguousarray(self.state[:, index])
-        if len(self.tag):
-            tag = self.tag[index]
-        else:
-            tag = self.tag
+        tag = self.tag[index] if len(self.tag) else self.tag
         boxes = self.xyxy[index]
         found = self.detection[index]
         return Estimates(

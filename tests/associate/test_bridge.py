@@ -48,7 +48,7 @@ def zooming(rng: np.random.Generator, count: int) -> list[np.ndarray]:
     return out
 
 
-def test_a_bridge_under_a_moving_camera_is_the_still_one_carried_along(rng):
+def test_bridge_under_moving_camera_is_the_warped_still_one(rng):
     motion = model_of(scaled_noise=True).motion
     warps = zooming(rng, 5)
     before = np.array([300.0, 200.0, 2.0, -1.0, 40.0, 80.0])

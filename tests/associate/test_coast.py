@@ -43,7 +43,7 @@ def shown(rows, label: int) -> int:
     return int((rows.predicted & (rows.identity == label)).sum())
 
 
-def test_who_comes_back_where_predicted_is_shown_for_as_long_as_it_is_missing():
+def test_track_that_returns_as_predicted_is_shown_while_missing():
     """At 25 frames a second two frames are ``max_coast``, and five who came back outweigh it."""
     online = run(EVIDENCE, lives(["back"] * 8)).online
     assert [shown(online, label) for label in range(1, 9)] == [2] * 4 + [GAP] * 4

@@ -52,9 +52,7 @@ def test_total_gain_is_that_of_the_best_of_all_covers(
 
 @given(seeds, st.lists(st.floats(0.2, 3.0), min_size=12, max_size=12))
 @settings(max_examples=15, deadline=None)
-def test_window_is_optimal_after_every_frame_while_nothing_is_closed(
-    seed: int, intervals: list[float]
-):
+def test_window_matching_is_optimal_after_every_frame(seed: int, intervals: list[float]):
     frames = scattered(np.random.default_rng(seed), 12, 4, side=120)
     matching = matching_of(window=100.0)
     model = model_of()

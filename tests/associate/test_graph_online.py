@@ -74,7 +74,7 @@ def test_a_window_shorter_than_the_delay_loses_no_link(seed: int, delay: int):
     assert all(name[b] == name[a] for b, a in settled)
 
 
-def test_a_pause_longer_than_the_window_keeps_rows_that_are_held_back():
+def test_pause_longer_than_window_keeps_delayed_rows():
     frames = [*moving(8), *moving(8, start=(400.0, 100.0))]
     intervals = [1.0] * 8 + [100.0] + [1.0] * 7
     result = run(matching_of(output_delay=4), frames, intervals=intervals)
@@ -167,7 +167,7 @@ def flickering(gap: int, times: int) -> list[Estimates]:
     ]
 
 
-def test_the_missing_are_waited_for_as_long_as_the_missing_came_back():
+def test_missing_tracks_coast_as_long_as_others_came_back():
     """By the model's p_D of 0.95 a target missed twice has gone; where gaps of four frames are
     filled, it has not.
     """

@@ -51,13 +51,13 @@ def test_a_label_is_an_identity_from_one_in_order_of_appearance():
     np.testing.assert_array_equal(result.tracks.xyxy[0], frames[0].xyxy[0])
 
 
-def test_short_tracks_are_left_out_and_identities_are_those_of_what_stays():
+def test_short_tracks_are_dropped_and_identities_renumbered():
     frames = [seen((1, 10.0), (2, 300.0)) if k < 2 else seen((2, 300.0)) for k in range(4)]
     assert table(run(PLAIN, frames).tracks) == [(1, 1, 1), (2, 1, 1), (3, 1, 0), (4, 1, 0)]
     assert len(run(replace(PLAIN, min_track_length=1), frames).tracks) == 6
 
 
-def test_states_without_detections_do_not_count_and_a_track_ends_with_its_last():
+def test_track_ends_with_its_last_detection():
     frames = [seen((1, 10.0 + 5 * k, 0 if k in (0, 3, 4) else -1)) for k in range(12)]
     result = run(PLAIN, frames)
     # Confirmed with the third detection; then 0.2 s = 5 time units of coasting.
@@ -68,7 +68,7 @@ def test_states_without_detections_do_not_count_and_a_track_ends_with_its_last()
     assert table(bare.online) == table(bare.tracks) == [(1, 1, 0), (4, 1, 0), (5, 1, 0)]
 
 
-def test_gaps_are_filled_between_their_ends_even_where_the_filter_showed_nothing():
+def test_gaps_without_states_are_bridged():
     frames = [seen((1, 10.0 + 5 * k)) if k not in (4, 5) else seen() for k in range(9)]
     corrected = run(PLAIN, frames).tracks
     assert corrected.predicted.nonzero()[0].tolist() == [4, 5]
@@ -170,7 +170,7 @@ def test_a_camera_that_runs_for_days_forgets():
 
 
 @pytest.mark.parametrize("settled", [False, True])
-def test_a_target_not_seen_for_a_while_keeps_its_identity_where_little_is_remembered(settled: bool):
+def test_missing_target_keeps_identity_with_short_history(settled: bool):
     """Its states are in frames that may still be revised, and none is settled yet; the past stands,
     or comes again.
     """

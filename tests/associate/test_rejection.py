@@ -73,7 +73,7 @@ STREET = [
 
 
 @each
-def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so(inner):
+def test_online_rows_are_confirmed_if_ratio_and_associator_agree(inner):
     plain, rows = (
         run(associator, STREET).online
         for associator in (inner, FalseTrackRejection(inner, STRIP, immediate_confirmation=0.0))
@@ -140,9 +140,7 @@ def table(rows) -> Tracks:
 
 
 @given(rows=tables, shortest=st.integers(1, 3), order=st.randoms())
-def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_objects(
-    rows, shortest, order
-):
+def test_track_begins_at_its_first_likely_detection(rows, shortest, order):
     """Against the definition, row by row; the order of the rows says nothing, rows without
     detections decide nothing.
     """

@@ -130,7 +130,7 @@ AROUND = 1 / (4 * (NEAR[2] * NEAR[3]) ** 2)
     (PLANE_BIRTHS["plane, local"], GROUND, FEET_NEAR, 1 / ELLIPSE),
     (POINT_BIRTHS["point"], SENSORS["point"], NEAR[:2], np.full(3, 1 / (640.0 * 480))),
 ], ids=["image", "local", "region", "local on the plane", "point"])  # fmt: skip
-def test_newborn_gaussians_have_the_density_of_gamma_at_their_detection(birth, sensor, z, gamma):
+def test_newborn_gaussians_have_the_density_of_births(birth, sensor, z, gamma):
     """Seen through the noise; 0.02 are born a second."""
     mixture = newborn(birth, z, sensor, 1.0)
     rows = list(sensor.observed)

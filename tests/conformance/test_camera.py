@@ -35,7 +35,7 @@ def test_there_and_back(camera, shown):
     np.testing.assert_allclose(camera.ground(back), ground, atol=1e-9, rtol=0)
 
 
-def test_depth_is_positive_where_ground_is_seen_and_grows_up_the_picture(camera, shown):
+def test_depth_is_positive_on_ground_and_grows_upwards(camera, shown):
     depth = camera.depth(camera.ground(shown))
     assert depth.shape == (shown.shape[1],)
     assert (depth > 0).all()

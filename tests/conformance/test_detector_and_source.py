@@ -34,7 +34,7 @@ TABLE = DetectionTable(
 
 
 @pytest.mark.parametrize("name", [*DETECTORS, "table"])
-def test_detectors_give_boxes_in_the_frame_and_begin_again_after_reset(name: str):
+def test_detectors_give_boxes_in_frame_and_reset(name: str):
     """Frames are read-only: nobody writes into a picture that he received."""
     detector = TableDetector(TABLE) if name == "table" else make_detector(name)
     keeps(Detector, detector)

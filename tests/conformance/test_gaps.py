@@ -72,7 +72,7 @@ def test_a_month_without_a_frame_is_no_more_work_than_a_frame(kind: str, world: 
 
 
 @pytest.mark.parametrize("survival", [0.5, 0.99, 1.0])
-def test_births_that_are_still_there_are_the_integral_of_survival(survival: float) -> None:
+def test_birth_seconds_are_the_integral_of_survival(survival: float) -> None:
     model = Model(
         PointMotion(survival_probability=survival),
         PointSensor(),

@@ -16,7 +16,7 @@ from phdtrack.config import load
 from phdtrack.detect.convert import LeftOut, Limits
 from phdtrack.errors import InputError
 from phdtrack.filters import hypotheses
-from phdtrack.filters.mcmc import _rivals
+from phdtrack.filters.mcmc import rivals
 from phdtrack.kernels.grid import uncrowded
 
 SIZE = (1920, 1080)
@@ -95,7 +95,7 @@ def test_each_filter_takes_as_many_as_it_can_use():
     assert given_one.values("limits")["max_detections"] == 7
 
 
-def test_points_of_each_others_boxes_are_counted_once_they_are_many():
+def test_crowded_boxes_beyond_the_limit_are_found():
     rng = np.random.default_rng(0)
     at = rng.uniform(0, 100, (2, 400))
     half = rng.uniform(1, 30, (2, 400))
@@ -136,11 +136,11 @@ def test_a_cluster_of_many_measurements_keeps_fewer_hypotheses(
     assert 1e6 < max(done) <= hypotheses.WORK
 
 
-def test_candidates_that_compete_are_found_measurement_by_measurement():
+def test_pairs_of_candidates_share_a_measurement():
     """As by comparing all with all, which needed memory for the square of their number."""
     first = np.array([0, 3, 5, 8, 9])
     seen_by = np.array([-1, 0, 2, -1, 2, -1, 0, 1, -1])
-    assert _rivals(first, seen_by).tolist() == [[0, 1], [0, 2]]
+    assert rivals(first, seen_by).tolist() == [[0, 1], [0, 2]]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -225,7 +225,7 @@ def test_the_links_of_a_vertex_are_bounded():
     assert links.max() == 512
 
 
-def test_the_empty_frames_before_new_classes_are_gone_through_once(monkeypatch: pytest.MonkeyPatch):
+def test_new_classes_share_one_replay_of_empty_frames(monkeypatch: pytest.MonkeyPatch):
     """However many classes a frame brings, of which the first hundred are tracked."""
     many = tracker_of("none")
     alone = tracker_of("none")

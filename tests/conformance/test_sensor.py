@@ -57,9 +57,9 @@ def test_a_state_made_of_a_measurement_predicts_it(sensor, z, found, rng):
     np.testing.assert_allclose(sensor.measure(again)[:rows], z[:rows], rtol=1e-9, atol=1e-9)
 
 
-def test_what_is_expected_of_a_state_made_of_a_measurement_is_the_measurement(sensor, z):
+def test_state_of_a_measurement_predicts_that_measurement(sensor, z):
     x, _ = sensor.states(z)
-    seen = fixed(sensor.expected(x))
+    seen = fixed(sensor.predicted_measurements(x))
     np.testing.assert_allclose(seen, z[: len(seen)], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(sensor.innovation(z, seen), 0, atol=1e-12)
     np.testing.assert_array_equal(sensor.innovation(seen[:, :, None], seen[:, None, :])[:, 3, 3], 0)
@@ -72,7 +72,7 @@ def test_the_likelihood_is_a_density(sensor, z, rng):
     noise.
     """
     x, _ = sensor.states(z[:, :1])
-    centre = sensor.expected(x)
+    centre = sensor.predicted_measurements(x)
     n = 40000
     r = len(centre)
     wide = 2 * root(sensor, z[:, :1], x)[0]
@@ -108,7 +108,7 @@ def test_the_gaussian_view_has_the_likelihood_of_a_known_state(sensor, z, rng):
     x, _ = sensor.states(z)
     x = fixed(x + rng.normal(0, 1, x.shape))
     r = sensor.covariance(z, x)
-    seen = sensor.expected(x)
+    seen = sensor.predicted_measurements(x)
     many = len(seen)
     assert r.shape == (30, many, many)
     numbers = sensor.particle_model(z)
@@ -130,7 +130,7 @@ def test_detection_probability_and_noise(sensor, z):
     assert (noise > 0).all()
 
 
-def test_watching_lowers_the_detection_probability_and_nothing_else(sensor, z, found):
+def test_watching_lowers_detection_probability_only(sensor, z, found):
     x, _ = sensor.states(z)
     watching = sensor.watching(x)
     keeps(Sensor, watching)

@@ -27,7 +27,7 @@ class NoBirth:
     def gaussians(self, z, sensor, seconds) -> Births:
         return births_around(sensor.states(z), np.zeros(z.shape[1]))
 
-    def expected(self, z, seconds) -> float:
+    def expected_count(self, z, seconds) -> float:
         return 0.0
 
 

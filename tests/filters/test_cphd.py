@@ -65,9 +65,7 @@ def test_a_poisson_number_gives_the_phd_update(kind: str, detection: float, rng)
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("detection", [0.7, 0.98, 1.0])
-def test_the_mean_of_the_number_is_the_mass_with_what_was_born_unseen(
-    kind: str, detection: float, rng
-):
+def test_mean_cardinality_is_mass_with_undetected_births(kind: str, detection: float, rng):
     """Along a run with births, misses, clutter, empty scans and a gap.
 
     Births where nothing was detected are missed as all others are: after a scan so many of them are
@@ -90,7 +88,7 @@ def test_the_mean_of_the_number_is_the_mass_with_what_was_born_unseen(
         before = recursion.predict(state, model, 1.0, rng)
         updated, info = recursion.update(before, z, model, 1.0, rng)
         state = recursion.reduce(updated, rng)
-        births = model.birth.expected(z, 1 / model.rate)
+        births = model.birth.expected_count(z, 1 / model.rate)
         known = info.mass_predicted
         unseen = max(births - info.mass_born, 0.0)
         terms = UpdateTerms(

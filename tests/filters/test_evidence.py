@@ -37,7 +37,7 @@ SCANS = [
 
 
 @pytest.mark.parametrize("z", SCANS, ids=lambda z: f"{z.shape[1]} detections")
-def test_of_a_poisson_number_of_targets_it_is_what_enumeration_gives(z):
+def test_log_evidence_of_poisson_targets_equals_enumeration(z):
     """Σ over the number of targets, over which detections are theirs, and over which of them each
     is of.
     """

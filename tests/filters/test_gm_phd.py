@@ -138,7 +138,7 @@ def test_an_empty_scan_leaves_what_was_missed(rng):
     assert info.mass == pytest.approx(0.1 * state.mass)
 
 
-def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
+def test_unexplained_detection_vanishes_and_is_counted(rng):
     model = world(clutter=UniformClutter(0.0, 1.0), detection_probability=1.0)
     state = GaussianMixture(np.ones(1), MEAN[:, None], COV[None])
     z = np.array([[5000.0, 320, 5050], [5000, 240, 5000], [20, 60, 20], [40, 110, 40]])

@@ -112,6 +112,6 @@ def test_a_bent_prediction_has_the_moments_of_draws(rng):
 
 
 def test_the_linear_transform_refuses_what_is_not_linear(rng):
-    z = TURNING.sensor.expected(START.mean)
+    z = TURNING.sensor.predicted_measurements(START.mean)
     with pytest.raises(InputError, match="unscented"):
         GMPHD().update(START, z, TURNING, 1.0, rng)

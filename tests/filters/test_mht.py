@@ -152,7 +152,7 @@ def test_what_is_older_than_the_depth_is_decided(depth: int):
     assert doubted > 20
 
 
-def test_the_longer_a_target_is_missed_the_less_patience_there_is():
+def test_survival_falls_with_the_frames_missed_in_a_row():
     """λ_x: e^(−k/λ_x) of those missed k times in a row."""
     model = world(detection=0.5, survival=0.9)
     filter_ = MHT(termination_frames=4.0)

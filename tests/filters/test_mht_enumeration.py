@@ -40,7 +40,7 @@ SCANS = {
 @pytest.mark.parametrize(
     "settings", [{}, {"detection": 0.99, "survival": 0.99}, {"clutter": 1e-7, "birth": 0.2}]
 )
-def test_every_hypothesis_has_the_probability_that_enumeration_gives_it(name: str, settings: dict):
+def test_hypothesis_probabilities_equal_enumeration(name: str, settings: dict):
     model = world(**settings)
     scans = SCANS[name]
     histories = enumerate_histories(scans, model, 1.0)

@@ -87,7 +87,7 @@ def test_the_update_is_the_dense_one(scaling: str, rng):
 
 
 @pytest.mark.parametrize("kind", ["plane", "point"])
-def test_on_the_plane_and_of_points_the_update_is_the_dense_one_in_double_precision(kind: str, rng):
+def test_plane_and_point_update_equals_the_dense_one(kind: str, rng):
     clutter = UniformClutter(1.0, 400.0)
     plane = Model(
         PlaneMotion(),
@@ -241,7 +241,7 @@ def test_masses_add_up(seed: int, targets: int, n: int, scaling: str):
     assert after.mass == pytest.approx(info.mass if len(after) else 0.0)
 
 
-def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
+def test_unexplained_detection_vanishes_and_is_counted(rng):
     """κ = 0 and C = 0: the term is 0, not NaN."""
     state = crowd(rng, 2, 60, width=200.0)
     near = seen_by(rng, state, 1)
@@ -256,7 +256,7 @@ def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
 
 
 @pytest.mark.parametrize("deviations", [5.0, 12, 13.1, 14, 20, 38, 39.5, 1000])
-def test_a_likelihood_far_out_in_its_tail_does_not_poison_the_weights(deviations: float, rng):
+def test_likelihood_far_in_its_tail_keeps_weights_finite(deviations: float, rng):
     """κ = 0 and a size so unlike all particles that single precision does not know g, or its
     reciprocal.
     """
@@ -342,7 +342,7 @@ def test_the_initial_intensity(rng):
 
 
 @pytest.mark.parametrize("recursion", [ParticlePHD(300), ParticleCPHD(300)])
-def test_any_number_of_threads_and_the_same_seed_give_the_same_bits(recursion, rng):
+def test_same_seed_gives_same_bits_with_any_threads(recursion, rng):
     first = crowd(rng, 70, 300, width=4000.0)
     scans = [seen_by(rng, first, n) for n in (90, 0, 60)]
     for z in scans:

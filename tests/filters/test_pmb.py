@@ -125,7 +125,7 @@ def test_a_person_who_stands_still_is_reported(seed: int, share: float):
     assert len({tags[0] for tags in reported[25:] if tags}) == 1
 
 
-def test_the_past_that_is_kept_and_the_number_of_hypotheses_are_bounded():
+def test_history_and_number_of_hypotheses_are_bounded():
     rng = np.random.default_rng(5)
     model = world(clutter=3e-9, birth=3e-9)
     sizes = []

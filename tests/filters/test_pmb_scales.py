@@ -76,9 +76,7 @@ def test_the_density_is_students_t_of_position_and_of_size(freedom: float, rng):
 
 @pytest.mark.parametrize("memory", [1e12, 4.5])
 @pytest.mark.parametrize("noise", [0.4, 1.0, 3.0])
-def test_one_target_has_the_scales_of_its_innovations_and_the_state_of_the_kalman_filter(
-    noise: float, memory: float
-):
+def test_one_target_has_noise_scales_and_the_kalman_state(noise: float, memory: float):
     """With all remembered c = (n₀ + Σd²)/(n₀ + 2N), the conjugate prior's; else what fades between
     frames is the model's.
     """

@@ -40,9 +40,7 @@ EXACT = PMBM(
 
 @pytest.mark.parametrize("name", SCANS)
 @pytest.mark.parametrize("settings", SETTINGS)
-def test_targets_that_were_there_unseen_are_as_probable_as_enumeration_says(
-    name: str, settings: dict
-):
+def test_probability_of_undetected_targets_equals_enumeration(name: str, settings: dict):
     """A Poisson process of targets before the first frame, each first detected in whatever
     frame.
     """
@@ -63,9 +61,7 @@ def test_targets_that_were_there_unseen_are_as_probable_as_enumeration_says(
 
 @pytest.mark.parametrize("name", SCANS)
 @pytest.mark.parametrize("settings", SETTINGS)
-def test_the_past_of_the_best_hypothesis_is_the_posterior_of_its_trajectories(
-    name: str, settings: dict
-):
+def test_past_of_best_hypothesis_is_the_trajectory_posterior(name: str, settings: dict):
     """States by the joint Gaussian of all frames; that a target was there, by all histories of the
     same partition.
     """
@@ -98,7 +94,7 @@ def test_the_past_of_the_best_hypothesis_is_the_posterior_of_its_trajectories(
     assert checked >= 2
 
 
-def test_undetected_targets_reach_the_balance_of_births_detections_and_deaths():
+def test_undetected_intensity_reaches_its_equilibrium():
     """One place, nothing moves: λ = γ (1 − p_D)/(1 − p_S (1 − p_D)), and λ⁺ = γ + p_S λ."""
     model = world(detection=0.3, survival=0.9, birth=0.05)
     model = replace(model, motion=replace(model.motion, acceleration=0.0, size_noise=0.0))
@@ -150,7 +146,7 @@ def test_giving_back_keeps_mass_and_mean():
     )
 
 
-def test_a_target_missed_at_its_birth_is_believed_sooner_than_by_an_mht():
+def test_pmbm_confirms_target_missed_at_birth_before_mht():
     """p_D is a half: who is first seen in the third frame may well have come in the first."""
     model = world(detection=0.5, survival=0.99, birth=0.01, clutter=2e-7)
     born = model.birth.places
@@ -164,7 +160,7 @@ def test_a_target_missed_at_its_birth_is_believed_sooner_than_by_an_mht():
     )
 
 
-def test_the_present_is_that_of_an_mht_where_nothing_is_remembered():
+def test_pmbm_without_undetected_targets_equals_mht():
     """Births around the detections have no memory: as long as nothing is decided or given back both
     say the same.
     """

@@ -150,7 +150,7 @@ def test_without_gaussians_it_is_uniform_birth_over_the_image():
 def fixed_likelihood(z: F8, x: F8) -> F8:
     """(L,) g(z|x) of one measurement, whose noise is the same for all states."""
     return multivariate_normal.pdf(
-        FIXED.expected(x).T, z[:, 0], FIXED.covariance(z, np.zeros((6, 1)))[0]
+        FIXED.predicted_measurements(x).T, z[:, 0], FIXED.covariance(z, np.zeros((6, 1)))[0]
     )
 
 
@@ -242,7 +242,7 @@ def test_unknown_scene_has_the_default_densities(rng):
         mine, default = (birth.gaussians(z, SENSOR, dt) for birth in (model.birth, MODEL.birth))
         for ours, theirs in zip(mine.around, default.around, strict=True):
             np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
-        assert model.birth.expected(z, dt) == pytest.approx(MODEL.birth.expected(z, dt))
+        assert model.birth.expected_count(z, dt) == pytest.approx(MODEL.birth.expected_count(z, dt))
 
 
 def test_a_uniform_density_beside_a_learned_one_has_its_volume():

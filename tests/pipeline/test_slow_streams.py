@@ -76,7 +76,7 @@ def test_the_time_of_videos_is_that_of_the_clock():
     np.testing.assert_array_equal(*ends)
 
 
-def test_false_alarms_of_slower_streams_are_fewer_where_asked_for():
+def test_clutter_decay_lowers_false_alarms_of_slow_streams():
     """At four time units between pictures half of them, with a decay of 0.5; at one and below it
     changes nothing.
     """

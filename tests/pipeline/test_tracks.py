@@ -92,7 +92,7 @@ def test_boxes_that_look_wrong_are_said_once(caplog: pytest.LogCaptureFixture) -
         assert "frame 2: 1 of 1 boxes lie outside the frame of 640x480 pixels" in caplog.text
 
 
-def test_the_names_of_the_package_are_listed_and_evaluate_refuses_other_things() -> None:
+def test_package_lists_its_names_and_evaluate_checks_arguments() -> None:
     assert set(phdtrack.__all__) <= set(dir(phdtrack))
     with pytest.raises(InputError, match="expected annotated objects as Truth, got int"):
         evaluate(1, 2)  # type: ignore[arg-type]

@@ -193,10 +193,7 @@ class GraphMatching(Checked):
 
         Raises `InputError` where a position is not finite.
         """
-        if state.vertices:
-            before = state.window
-        else:
-            before = empty_window(len(estimates.state))
+        before = state.window if state.vertices else empty_window(len(estimates.state))
         window, final = self._linked(before, estimates, dt, model)
         time = state.time + dt
         vertices = state.vertices + len(estimates)
@@ -539,8 +536,8 @@ def _claimed(
 
 
 def _returned(online: OnlineTracks, known: Identities) -> I8:
-    """`OnlineTracks.returned` with this frame: of confirmed identities without a state, how many have one
-    now.
+    """`OnlineTracks.returned` with this frame: of confirmed identities without a state, how many
+    have one now.
     """
     before = online.known
     returned = online.returned.copy()
@@ -566,10 +563,7 @@ def _return_probability(p_survive: F8, p_detect: F8, returned: I8) -> list[float
     for asked, came in zip(*returned.tolist(), strict=True):
         there = exists * stays
         out.append((came + there * seen) / (asked + 1.0))
-        if there * seen < 1.0:
-            exists = there * (1.0 - seen) / (1.0 - there * seen)
-        else:
-            exists = 0.0
+        exists = there * (1.0 - seen) / (1.0 - there * seen) if there * seen < 1.0 else 0.0
     for age in range(len(out) - 1, -1, -1):
         never *= 1.0 - out[age]
         out[age] = 1.0 - never

@@ -183,10 +183,7 @@ def rows_of(
         (x, p), (y, q) = (
             _states(every, place[end], (at - start[place])[end]) for end in (n, n + 1)
         )
-        if k >= 0:
-            warps = [moment.warp for moment in moments[k + 1 : k + length + 2]]
-        else:
-            warps = []
+        warps = [moment.warp for moment in moments[k + 1 : k + length + 2]] if k >= 0 else []
         between = bridge(model.motion, (x, p, y, q), np.array(steps), warps).reshape(x.shape[1], -1)
         numbers = number[(place[n][:, None] + np.arange(1, length + 1)).ravel()]
         sure = np.repeat(np.minimum(weight[n], weight[n + 1]), length)

@@ -43,7 +43,7 @@ PATIENCE = 0.8
 PATIENT_FRAMES = 20.0
 _NONE = np.zeros(0)
 _NO_BOX = np.zeros((0, 4))
-NOBODY = Followed(np.zeros(0, np.int64), _NONE, _NONE, _NO_BOX, _NO_BOX, np.zeros((2, STEPS)))
+NO_TRACKS = Followed(np.zeros(0, np.int64), _NONE, _NONE, _NO_BOX, _NO_BOX, np.zeros((2, STEPS)))
 
 
 class LabelTable(NamedTuple):
@@ -110,7 +110,7 @@ class LabelledState:
     history, recent : frames that no revision reaches any more, and those that one may reach.
     table : what is known of the labels in the first.
     time, used : model time; the highest identity of online rows.
-    followed : who may be missing, and how those that were came back; nobody unless
+    followed : the tracks that may be missing, and how missing ones came back; none unless
         ``coast_by_evidence``.
     """
 
@@ -119,7 +119,7 @@ class LabelledState:
     table: LabelTable = field(default_factory=lambda: LabelTable.of(np.zeros(0, np.int64)))
     time: float = 0.0
     used: int = 0
-    followed: Followed = NOBODY
+    followed: Followed = NO_TRACKS
 
     def __len__(self) -> int:
         return len(self.history) + len(self.recent)
@@ -295,9 +295,7 @@ class Labelled(Checked):
     def _followed(
         self, before: Followed, now: Moment, present: LabelTable, dt: float, model: Model
     ) -> Followed:
-        """Who may be missing after the newest frame, and the verdicts, with those that it
-        brings.
-        """
+        """The tracks that may be missing after the newest frame, and the verdicts with its own."""
         e = now.estimates
         place = present.places(now.estimates.tag)
         last = present.last[place] / model.rate
@@ -315,7 +313,7 @@ class Labelled(Checked):
         return after
 
     def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
-        """The state without what is forgotten; rows still due stay."""
+        """The state without the frames that are forgotten; rows still due stay."""
         if self.history == 0:
             return state
         since = min(state.time - self.history * model.rate, state[due].time)
@@ -341,10 +339,7 @@ def _one_each(e: Estimates) -> Estimates:
             where="associate.kind=labelled",
             cure="Use associate.kind=graph, or a filter that labels targets",
         )
-    if e.past:
-        single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag)
-    else:
-        single = e
+    single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag) if e.past else e
     if (e.tag[1:] > e.tag[:-1]).all():
         return single
     heaviest = np.argsort(-e.weight, kind="stable")

@@ -1,9 +1,9 @@
 """False-track rejection: tracks are withheld until they have been where real targets are likelier
 than false tracks.
 
-Whether a track is a false alarm's or a target's never changes, and false alarms stay where they
-are. So the likelihood ratio of a track is the least of the places that it has been at, and it is
-confirmed from the first row on at which this is below
+A track is a false alarm's or a target's for good, and false alarms stay where they are. So the
+likelihood ratio of a track is the least of the places that it has been at, and it is confirmed from
+the first row on at which this is below
 1. Rows before are left out.
 
 Online, tracks are confirmed after some states, because most of what is detected once or twice is
@@ -31,7 +31,7 @@ KEPT = 10_000
 
 @dataclass(frozen=True, slots=True)
 class RejectionState(Generic[A]):
-    """The associator's state; and of the identities given online (a,), ascending, the least
+    """The associator's state; and of the identities of online rows (a,), ascending, the least
     log-ratios (2, a) so far.
     """
 
@@ -46,7 +46,7 @@ class FalseTrackRejection(Checked, Generic[A]):
 
     Parameters
     ----------
-    associator : what gives identities.
+    associator : assigns the identities.
     ratio : false alarms over targets, by place.
     immediate_confirmation : ratio of any false alarm below which an online track is confirmed at
         once.

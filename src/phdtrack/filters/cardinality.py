@@ -6,7 +6,7 @@ D⁺ / M
 
     Υᵘ[Z](n) = Σ_j n!/(n − j − u)! φⁿ⁻ʲ⁻ᵘ E_j(Z),  E_j(Z) = [tʲ] Π_z (κ(z) + t C(z)/M)
 
-for clutter whose number is Poisson distributed: but for κ(z) everything drops out of it. E_j(Z) is
+for clutter whose number is Poisson distributed: everything except κ(z) drops out of it. E_j(Z) is
 e_j of C/(Mκ), multiplied with Πκ, so that κ = 0 needs no rule of its own. The mean of p is the mass
 of D after every update.
 

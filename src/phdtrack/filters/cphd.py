@@ -26,12 +26,12 @@ from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
 
 
 class _CPHD(Checked, Filter[Cardinalised]):
-    """The recursion, whose settings are those of a PHD filter."""
+    """The recursion, with the settings of a PHD filter."""
 
     __slots__ = ()
 
     def start(self, model: Model, rng: np.random.Generator) -> Cardinalised:
-        """The initial intensity and a Poisson distributed number; nothing where none was given."""
+        """The initial intensity and a Poisson distributed number; nothing without one."""
         intensity = _intensity(self).start(model, rng)
         return Cardinalised(intensity, trimmed(poisson(intensity.mass)))
 
@@ -50,8 +50,13 @@ class _CPHD(Checked, Filter[Cardinalised]):
         self, state: Cardinalised, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Cardinalised, UpdateInfo]:
         """Add the births, then update the number and the intensity [V07]."""
+        # Births, and C(z) and κ(z) of the measurements
         terms = _intensity(self).terms(state.intensity, z, model, dt, rng)
-        weighing = weigh(state.cardinality, terms, model.birth.expected(z, model.birth_seconds(dt)))
+        # Update the distribution of the number of targets
+        weighing = weigh(
+            state.cardinality, terms, model.birth.expected_count(z, model.birth_seconds(dt))
+        )
+        # Update the intensity with the factors that follow from it
         intensity = terms.weighed(weighing.missed, weighing.detected)
         info = replace(terms.info(intensity.mass), cardinality=weighing.cardinality)
         return Cardinalised(intensity, weighing.cardinality), info

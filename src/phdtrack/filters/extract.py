@@ -121,7 +121,7 @@ class KMeans(_Extraction):
             return Estimates.empty(model.motion.dim)
         sensor = model.sensor
         blocks = known_blocks(state)
-        centres, _ = _seeds(blocks, z, sensor, lightest)
+        centres, _ = seeds(blocks, z, sensor, lightest)
         scales = np.ascontiguousarray(sensor.noise(centres).T)
         found = kmeans(
             blocks, np.ascontiguousarray(centres.T), scales, Rule(REACH, split, self.iterations)
@@ -159,7 +159,7 @@ class Mixture(_Extraction):
             return Estimates.empty(model.motion.dim)
         sensor = model.sensor
         blocks = known_blocks(state)
-        centres, free = _seeds(blocks, z, sensor, lightest)
+        centres, free = seeds(blocks, z, sensor, lightest)
         if free.any():
             # A block with one component in reach is all that component's, but for the remnants that
             # nothing reaches.
@@ -252,16 +252,13 @@ def known_blocks(intensity: Intensity) -> Blocks:
 def _without(blocks: Blocks, which: Bool) -> Blocks:
     """The blocks without some particles (L,)."""
     left = ~which
-    if len(blocks.weight) > 1:
-        weight = blocks.weight[left]
-    else:
-        weight = blocks.weight
+    weight = blocks.weight[left] if len(blocks.weight) > 1 else blocks.weight
     start = np.concatenate([[0], np.cumsum(left)])[blocks.start]
     fewer: Blocks = summarise(np.ascontiguousarray(blocks.state[:, left]), weight, start)
     return fewer
 
 
-def _seeds(blocks: Blocks, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
+def seeds(blocks: Blocks, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
     """First centres (d, k): the detections, at rest [M07 §3], then the middle of what none is near;
     and which are free (L,).
 
@@ -340,10 +337,7 @@ def _floored(mixture: Gaussians, sensor: Sensor) -> tuple[Gaussians, F8]:
     at their means.
     """
     alive = mixture.weight > SHAPELESS
-    if alive.all():
-        mixture = mixture
-    else:
-        mixture = kept(mixture, alive)
+    mixture = mixture if alive.all() else kept(mixture, alive)
     scale = sensor.noise(mixture.mean)
     return mixture._replace(covariance=with_floor(mixture.covariance, scale)), scale
 
@@ -387,7 +381,7 @@ def finish(peaks: Gaussians, z: F8, model: Model) -> Estimates:
     of = z.take(z_of, axis=1)
     seen = mean.take(state_of, axis=1)
     distance2, _ = gaussian_parts(
-        sensor.innovation(of, sensor.expected(seen)), sensor.covariance(of, seen)
+        sensor.innovation(of, sensor.predicted_measurements(seen)), sensor.covariance(of, seen)
     )
     region = chi2_quantile(len(sensor.observed), 0.99)
     free = np.ones(z.shape[1], np.bool_)

@@ -38,7 +38,7 @@ class Nodes:
     r : (L,) probability that the target exists, if the measurements of its history are its own.
     detection : (L,) measurement of the frame that it took, −1 for none.
     parent : (L,) its node in the frame before; −1 where the track begins.
-    label : (L,) the track's number, from 0, none given twice.
+    label : (L,) the track's number, from 0, unique.
     missed : (L,) frames since it last took a measurement.
     survival : (L,) p_S of the interval before; 1 where the track begins.
     """
@@ -58,9 +58,15 @@ class Nodes:
     def select(self, index: I8 | Bool) -> Nodes:
         """The nodes at ``index`` (integers or a mask), in that order."""
         return Nodes(
-            self.mean[index], self.covariance[index], self.r[index], self.detection[index], self.parent[index],
-            self.label[index], self.missed[index], self.survival[index],
-        )  # fmt: skip
+            self.mean[index],
+            self.covariance[index],
+            self.r[index],
+            self.detection[index],
+            self.parent[index],
+            self.label[index],
+            self.missed[index],
+            self.survival[index],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +90,7 @@ class Hypotheses:
     layers : nodes of the last frames, oldest first; those of the present are the leaves.
     lone : (n,) leaves of tracks that compete with no other and have one form.
     clusters : the other tracks.
-    next_label : the label that the next new track is given.
+    next_label : the label of the next new track.
     undetected : intensity of targets that have never been detected; always empty in an MHT.
     steps : of each layer the interval before it, in the model's time unit, and the camera's motion
         (3, 3) in it.
@@ -222,9 +228,15 @@ def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
         most = fewer.max_hypotheses, math.log(limits.hypothesis_threshold)
         whole = _product([Cluster(alone[None], np.ones(1)), *parts] if len(alone) else parts, fewer)
         leaf, weight, unassigned[columns] = children(
-            whole.leaf, whole.weight, (scores.leaf[pairs], scores.measurement[pairs], scores.gain[pairs]), columns,
-            scores.missed, scores.unassigned, begins, most,
-        )  # fmt: skip
+            whole.leaf,
+            whole.weight,
+            (scores.leaf[pairs], scores.measurement[pairs], scores.gain[pairs]),
+            columns,
+            scores.missed,
+            scores.unassigned,
+            begins,
+            most,
+        )
         out.append(Cluster(leaf, weight))
     return Branches(
         np.concatenate([_numbers(left, np.full(len(left), -1), count), free + 1]),
@@ -303,8 +315,8 @@ def ended(state: Hypotheses, existence_threshold: float) -> Hypotheses:
     """Targets below the threshold do not exist; when their last detection is too old, they are
     forgotten.
 
-    Until then they remain as leaves: their measurements are no others', and the past that is
-    reported shows them. Of those that nobody has ever believed in nothing is shown.
+    Until then they remain as leaves: they keep their measurements, and the past that is reported
+    shows them, except those that were never probable.
     """
     leaves = state.leaves
     nodes = replace(leaves, r=np.where(leaves.r >= existence_threshold, leaves.r, 0.0))

@@ -13,10 +13,11 @@ PHD filters this one knows its targets one by one: a label is one for a target's
 The law is discrete: every candidate has a table of states for each measurement that it may have
 given and for none. So the moves of the reversible-jump form need no tuning: a step draws a free
 option of a candidate by weight, and then a state from its table (add, delete, leave, come back,
-update, reassign), or options of two candidates at once (exchange). This is the conditional law but
-for the interaction, whose ratio is what is left of Hastings' [K05]: α = min(1, Π ψ' / Π ψ). Adding
-and deleting need no Jacobian: each draws what the other drops. Of each kept sample a target's state
-is kept, and its ``chance``, the probability that it exists given the rest of the sample.
+update, reassign), or options of two candidates at once (exchange). This is the conditional law
+except for the interaction, whose ratio is what is left of Hastings' [K05]: α = min(1, Π ψ' / Π ψ).
+Adding and deleting need no Jacobian: each draws what the other drops. Of each kept sample a
+target's state is kept, and its ``chance``, the probability that it exists given the rest of the
+sample.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ class JointSamples:
     chance : (n, N) the probability that the target exists, given its state and the others' in that
         sample.
     label : (n,) int64 ascending, one for a target's life.
-    fresh : the next new target's label: none that was ever given is as large.
+    fresh : the next new target's label, above all labels so far.
     """
 
     state: F8
@@ -138,7 +139,7 @@ class MCMC(Filter[JointSamples]):
             )
 
     def start(self, model: Model, rng: np.random.Generator) -> JointSamples:
-        """The initial targets, N states each; none where none were given."""
+        """The initial targets, N states each; none without an initial mixture."""
         if self.initial is None:
             return JointSamples.empty(model.motion.dim, self.samples)
         n = len(self.initial)
@@ -160,6 +161,7 @@ class MCMC(Filter[JointSamples]):
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[JointSamples, UpdateInfo]:
         """N samples of the posterior by the chain [K05]."""
+        # Clutter κ(z), and births where no target covers a measurement
         old = len(state.label)
         kappa = model.clutter.intensity(z)
         against = np.maximum(kappa, LEAST_CLUTTER)
@@ -167,18 +169,17 @@ class MCMC(Filter[JointSamples]):
         inside = distance2 <= chi2_quantile(len(model.sensor.observed), 0.99)
         covered = sum_by(which[inside], state.weight[member[inside]], z.shape[1])
         born = model.birth.sample(z, covered, model.sensor, model.birth_seconds(dt), rng)
+        # Candidates: the targets of the frame before, and one new target a measurement
         candidate, which, member, weight, x = _entries(state, born, near, z, against, model)
         evidence = sum_by(which + 1, weight, z.shape[1] + 1)[1:] * against
         seen = np.unique(candidate[candidate >= old])
         candidate = np.where(candidate < old, candidate, old + np.searchsorted(seen, candidate))
         label = np.concatenate([state.label, state.fresh + seen - old])
         absent = np.concatenate([np.maximum(1 - state.existence, SURELY), np.ones(len(seen))])
-        if self.interaction_strength > 0:
-            box = model.sensor.boxes(x)
-        else:
-            box = np.zeros((0, 4))
+        box = model.sensor.boxes(x) if self.interaction_strength > 0 else np.zeros((0, 4))
+        # Sample the joint state by Metropolis–Hastings [K05]
         can = make_options(candidate, which, member, weight, absent, np.ascontiguousarray(box))
-        pairs = _rivals(can.first, can.measurement)
+        pairs = rivals(can.first, can.measurement)
         chain = Chain(
             self.burn_in,
             self.thin,
@@ -187,6 +188,7 @@ class MCMC(Filter[JointSamples]):
             float(self.interaction_strength),
         )
         options, states, chance = jump_chain(z.shape[1], can, pairs, chain, rng)
+        # Keep the targets that may exist
         kept = np.flatnonzero(chance.mean(axis=1) >= self.min_weight)
         x = np.ascontiguousarray(x[:, states[kept].ravel()])
         samples = JointSamples(x, chance[kept], label[kept], state.fresh + z.shape[1])
@@ -245,7 +247,7 @@ def _entries(
     return candidate[alive], which[alive], member[alive], entry[alive], x
 
 
-def _rivals(first: I8, measurement: I8) -> I8:
+def rivals(first: I8, measurement: I8) -> I8:
     """(K, 2) pairs of candidates that may have given the same measurement, a < b."""
     candidate = np.repeat(np.arange(len(first) - 1), np.diff(first))
     order = np.argsort(measurement, kind="stable")

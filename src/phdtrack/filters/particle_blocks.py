@@ -70,7 +70,7 @@ class UpdatedParticles:
         out = []
         for blocks, part, sums in zip(self.blocks, self.parts, self.sums, strict=True):
             share = np.empty(len(blocks), blocks.state.dtype)
-            given = (
+            arguments = (
                 part,
                 sums,
                 self.numbers.model,
@@ -79,7 +79,7 @@ class UpdatedParticles:
                 self.detected,
                 share,
             )
-            in_ranges(weigh, given, len(part.start) - 1, self.threads)
+            in_ranges(weigh, arguments, len(part.start) - 1, self.threads)
             out.append(blocks.unit * share.astype(np.float64))
         return np.concatenate(out)
 
@@ -154,21 +154,23 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="phdtrack")
 
 
-def in_ranges(work: Callable[..., T], given: tuple[Any, ...], count: int, threads: int) -> list[T]:
-    """What ``work(lo, hi, *given)`` returns for ranges that cover 0 … count, in their order.
+def in_ranges(
+    work: Callable[..., T], arguments: tuple[Any, ...], count: int, threads: int
+) -> list[T]:
+    """The results of ``work(lo, hi, *arguments)`` for ranges that cover 0 … count, in their order.
 
     Kernels release the interpreter's lock, and their results do not depend on the ranges.
 
     Parameters
     ----------
     work : called from several threads.
-    given : what it takes besides the range.
+    arguments : its arguments after the range.
     count : the end of the last range.
     threads : how many share the work; 0: one per core.
     """
     threads = threads or os.cpu_count() or 1
     if threads == 1 or count < 2 * threads:
-        return [work(0, count, *given)]
+        return [work(0, count, *arguments)]
     # More ranges than threads, because blocks differ in what they cost.
     edges = [count * i // (4 * threads) for i in range(4 * threads + 1)]
-    return list(_pool(threads).map(lambda lo, hi: work(lo, hi, *given), edges[:-1], edges[1:]))
+    return list(_pool(threads).map(lambda lo, hi: work(lo, hi, *arguments), edges[:-1], edges[1:]))

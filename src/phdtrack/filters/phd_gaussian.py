@@ -21,14 +21,20 @@ from phdtrack.filters.cardinality import UpdateTerms
 from phdtrack.kernels.gaussian import Expected, Measurements
 from phdtrack.kernels.gm_merge import Merging, Rows, merged_rows
 from phdtrack.kernels.gm_update import Newborn, Reach, mixture_of, phd_step, terms_of
-from phdtrack.models.gaussian import Transform, expected, measurements, moved, row_numbers
+from phdtrack.models.gaussian import (
+    Transform,
+    measurements,
+    moved,
+    predicted_measurements,
+    row_numbers,
+)
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo, false_alarm_share
 
 # Mass within this region of a detection explains it, M(z), and births around it have the mass of γ
 # there.
 REGION = 0.99
-# Gaussians at most, where nothing else is said.
+# Gaussians at most, unless the settings say otherwise.
 MOST = 3000
 # Pairs of a Gaussian and a measurement from which on light ones are left out at once.
 HEAP = 50_000
@@ -37,12 +43,12 @@ _NOTHING = np.zeros((0, 0, 0))
 
 
 class Frame(NamedTuple):
-    """What a model says of a frame: the arguments of `kernels.gm_update`.
+    """The model's answers about a frame: the arguments of `kernels.gm_update`.
 
     Attributes
     ----------
-    rows : the predicted Gaussians, and behind them the births that were given.
-    expected : what they say of measurements.
+    rows : the predicted Gaussians, and behind them the births that are Gaussians.
+    expected : the measurements that they predict.
     measurements : the measurements.
     newborn : births around the measurements.
     reach : how far Gaussians reach.
@@ -81,7 +87,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     initial: GaussianMixture | None = None
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
-        """The initial intensity; empty where none was given."""
+        """The initial intensity; empty without one."""
         return self.initial or GaussianMixture.empty(model.motion.dim)
 
     def predict(
@@ -120,10 +126,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
 
         def weighed(missed: float, detected: F8) -> GaussianMixture:
             # Of a heap of targets what pruning would drop is not made.
-            if len(t.pairs) > HEAP:
-                least = float(self.weight_threshold)
-            else:
-                least = 0.0
+            least = float(self.weight_threshold) if len(t.pairs) > HEAP else 0.0
             rows, mass = mixture_of(*frame[:-1], t, (missed, detected), least)
             if least and len(rows.weight):
                 rows = rows._replace(weight=rows.weight * (mass / rows.weight.sum()))
@@ -137,7 +140,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06
         Table II, E13 §4].
 
-        What is dropped is given to the rest, so that the expected number stays.
+        The rest gets the mass of what is dropped, so that the expected number stays.
         """
         axes = tuple(range(len(state.mean)))
         return GaussianMixture(*merged_rows(_rows_of(state), axes, self._merging, state.mass))
@@ -146,18 +149,25 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[GaussianMixture, UpdateInfo]:
         """Predict, update and reduce; Gaussians that pruning would drop are not made."""
+        # Predict [V06 (24)–(29)], with the births
         frame = self._frame(self._predicted(state, model, dt), z, model, dt)
         axes = tuple(range(frame.rows.mean.shape[1]))
         new = frame.newborn
+        # Update [V06 (32)–(38)]; prune, merge and cap [V06 Table II]
         # As plain tuples: Numba looks up the class of every named one, which takes a quarter of a
         # step of ten targets.
         weight, mean, covariance, evidence, (predicted, born, mass), vanished = phd_step(
-            tuple(frame.rows), tuple(frame.expected), tuple(frame.measurements),
-            (tuple(new.around), *new[1:-1], tuple(new.expected)), tuple(frame.reach), tuple(self._merging), axes,
-        )  # fmt: skip
+            tuple(frame.rows),
+            tuple(frame.expected),
+            tuple(frame.measurements),
+            (tuple(new.around), *new[1:-1], tuple(new.expected)),
+            tuple(frame.reach),
+            tuple(self._merging),
+            axes,
+        )
         clutter = frame.measurements.clutter
         false_alarm = false_alarm_share(clutter, evidence)
-        # D = (1 − p_D) D⁺ + Σ C/(κ + C).
+        # ∫ p_D D⁺, as ∫ D = ∫ (1 − p_D) D⁺ + Σ C/(κ + C)
         detected = predicted - mass + float((1 - false_alarm).sum())
         info = UpdateInfo(
             predicted, born, mass, evidence, clutter, false_alarm, vanished, detected=detected
@@ -171,21 +181,23 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         return Rows(rows.weight * after.p_survive, after.mean, after.covariance)
 
     def _frame(self, rows: Rows, z: F8, model: Model, dt: float) -> Frame:
-        """What the model says of a frame of these measurements, with the predicted Gaussians."""
+        """The model's answers about a frame with these measurements and predicted Gaussians."""
         sensor = model.sensor
         predicted = len(rows.weight)
+        # Births γ(x)
         born = model.birth.gaussians(z, sensor, model.birth_seconds(dt))
         if len(born.weight):
             rows = Rows(*(np.concatenate(parts) for parts in zip(rows, born[1:], strict=True)))
         around = born.around
+        # Measurements with κ(z), and those that the Gaussians predict
         seen = measurements(sensor, z, model.clutter.intensity(z))
         observed = row_numbers(sensor.observed)
         volume, stretch = _newborn_shape(len(observed))
-        said = expected(sensor, rows.mean, rows.covariance, self.transform)
+        ahead = predicted_measurements(sensor, rows.mean, rows.covariance, self.transform)
         if self.transform == "unscented":
             covariance = around.covariance.copy()
             covariance[:, observed[:, None], observed] *= stretch - 1
-            newborn = expected(sensor, around.mean, covariance, self.transform)
+            newborn = predicted_measurements(sensor, around.mean, covariance, self.transform)
         else:
             p_detect = sensor.p_detect(np.ascontiguousarray(around.mean.T))
             newborn = Expected(observed, _NONE, _NOTHING, _NOTHING, _NOTHING, p_detect)
@@ -193,11 +205,11 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         gate = math.sqrt(chi2_quantile(r, self.gate_probability))
         region = chi2_quantile(r, REGION)
         reach = Reach(gate, region, predicted)
-        return Frame(rows, said, seen, Newborn(around, observed, volume, stretch, newborn), reach)
+        return Frame(rows, ahead, seen, Newborn(around, observed, volume, stretch, newborn), reach)
 
     @property
     def _merging(self) -> Merging:
-        """What a reduction needs."""
+        """The settings of a reduction."""
         return Merging(
             float(self.weight_threshold),
             float(self.merge_distance),

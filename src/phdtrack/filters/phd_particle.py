@@ -27,7 +27,7 @@ from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, Updat
 # κ + C below this counts as 0 where likelihoods are in single precision: they have no tail below
 # 1e-38.
 FAINT = 1e-30
-# Particles at most, where nothing else is said.
+# Particles at most, unless the settings say otherwise.
 MOST = 300_000
 
 
@@ -58,9 +58,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
     initial: Particles | GaussianMixture | None = None
 
     def start(self, model: Model, rng: np.random.Generator) -> Particles:
-        """The initial intensity, a mixture as ρ particles per component; empty where none was
-        given.
-        """
+        """The initial intensity, a mixture as ρ particles per component; empty without one."""
         if isinstance(self.initial, GaussianMixture):
             return draw(self.initial, self.particles_per_target, 1.0, rng)
         if self.initial is not None:
@@ -85,8 +83,8 @@ class ParticlePHD(Checked, Filter[Intensity]):
             return blocks
         moved = reused(blocks.state.shape, blocks.state.dtype)
         share = reused((len(blocks),), blocks.state.dtype)
-        given = (motion, blocks.state, blocks.share, blocks.start, key, moved, share)
-        in_ranges(sweeps.predict, given, len(blocks.start) - 1, self.threads)
+        arguments = (motion, blocks.state, blocks.share, blocks.start, key, moved, share)
+        in_ranges(sweeps.predict, arguments, len(blocks.start) - 1, self.threads)
         return ParticleBlocks(moved, blocks.start, blocks.unit, share)
 
     def update(
@@ -108,6 +106,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
         ----------
         state, z, model, dt, rng : as in `update`.
         """
+        # Likelihoods g(z|x) and p_D of the predicted particles
         numbers = model.sensor.particle_model(z)
         region = chi2_quantile(len(model.sensor.observed), 0.99)
         dtype = precision(numbers.model)
@@ -116,11 +115,13 @@ class ParticlePHD(Checked, Filter[Intensity]):
             numbers = numbers._replace(detection=np.zeros(1, dtype))
         gates = make_grid(*model.sensor.gate(z), 0.0, 0.0)
         old = self._part(in_blocks(state, dtype), numbers, gates, region, model)
+        # Births, where no predicted mass covers a measurement [M09 (10)]
         covered: F8 = old[0].unit * sum_by(old[2].which, old[2].near, count)
         newborn = in_blocks(
             model.birth.sample(z, covered, model.sensor, model.birth_seconds(dt), rng), dtype
         )
         new = self._part(newborn, numbers, gates, region, model)
+        # C(z) = ∫ p_D g(z|x) D⁺(x) dx [M07 (5)]
         blocks = (old[0], new[0])
         parts = (old[1], new[1])
         sums = (old[2], new[2])
@@ -135,9 +136,14 @@ class ParticlePHD(Checked, Filter[Intensity]):
             return UpdatedParticles(blocks, parts, sums, numbers, missed, detected, self.threads)
 
         return UpdateTerms(
-            float(mass.sum()), float(mass[1]), float(missed.sum()), evidence, model.clutter.intensity(z),
-            weighed, FAINT if dtype == np.float32 else TINY,
-        )  # fmt: skip
+            float(mass.sum()),
+            float(mass[1]),
+            float(missed.sum()),
+            evidence,
+            model.clutter.intensity(z),
+            weighed,
+            FAINT if dtype == np.float32 else TINY,
+        )
 
     def _part(
         self,
@@ -154,8 +160,8 @@ class ParticlePHD(Checked, Filter[Intensity]):
         part = sweeps.Part(
             blocks.state, blocks.share, np.asarray(detect, blocks.state.dtype), blocks.start
         )
-        given = (part, numbers.model, numbers.table, gates, region)
-        found = in_ranges(sweeps.likelihoods, given, len(blocks.start) - 1, self.threads)
+        arguments = (part, numbers.model, numbers.table, gates, region)
+        found = in_ranges(sweeps.likelihoods, arguments, len(blocks.start) - 1, self.threads)
         sums = found[0]
         if len(found) > 1:
             before = np.cumsum([0, *(len(one.which) for one in found)])
@@ -189,7 +195,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
         for part, sums in zip(state.parts, state.sums, strict=True):
             end = begin + len(part.start) - 1
             own = Comb(*(column[begin:end] for column in teeth))
-            given = (part, sums, model, table, state.missed, state.detected, own, out)
-            in_ranges(pick, given, end - begin, self.threads)
+            arguments = (part, sums, model, table, state.missed, state.detected, own, out)
+            in_ranges(pick, arguments, end - begin, self.threads)
             begin = end
         return ParticleBlocks(out, start, mass / count)

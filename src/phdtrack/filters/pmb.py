@@ -86,7 +86,14 @@ from phdtrack.kernels.pmb import (
 )
 from phdtrack.kernels.pmb_past import TRACE, earlier, scaled
 from phdtrack.models.clutter import ScoredClutter
-from phdtrack.models.gaussian import SAME, Transform, expected, measurements, moved, new_targets
+from phdtrack.models.gaussian import (
+    SAME,
+    Transform,
+    measurements,
+    moved,
+    new_targets,
+    predicted_measurements,
+)
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
@@ -103,7 +110,7 @@ class Bernoullis:
     layers : the targets of the last frames, oldest first.
     ended : (E, 2) frame and hypothesis there of targets that were once confirmed and have been
         deleted since.
-    next_label : the label that the next new target is given.
+    next_label : the label of the next new target.
     undetected : intensity of targets that have never been detected, where births are a mixture
         (`filters.undetected`).
     frame : number of the last layer: how many frames have been predicted.
@@ -199,17 +206,19 @@ class PMB(Checked, Filter[Bernoullis]):
             )
 
     def start(self, model: Model, rng: np.random.Generator) -> Bernoullis:
-        """The initial targets, with one hypothesis for each factor of the acceleration; none where
-        none were given.
+        """The initial targets, with one hypothesis for each factor of the acceleration; none
+        without an initial mixture.
         """
-        given = self.initial or GaussianMixture.empty(model.motion.dim)
-        n = len(given)
+        initial = self.initial or GaussianMixture.empty(model.motion.dim)
+        n = len(initial)
         motions = len(self.acceleration_factors)
         number = np.arange(n)
         place = np.arange(n * motions) // motions
         targets = np.zeros(n, TARGET)
         hypotheses = np.zeros(n * motions, HYPOTHESIS)
-        targets["r"] = targets["presence"] = targets["max_presence"] = np.minimum(given.weight, 1.0)
+        targets["r"] = targets["presence"] = targets["max_presence"] = np.minimum(
+            initial.weight, 1.0
+        )
         targets["label"] = number
         targets["begin"] = number * motions
         targets["end"] = (number + 1) * motions
@@ -223,7 +232,10 @@ class PMB(Checked, Filter[Bernoullis]):
         hypotheses["detection"] = hypotheses["parent"] = -1
         hypotheses["genuine"] = CERTAIN
         layer = Layer(
-            targets, hypotheses, np.ascontiguousarray(given.mean.T[place]), given.covariance[place]
+            targets,
+            hypotheses,
+            np.ascontiguousarray(initial.mean.T[place]),
+            initial.covariance[place],
         )
         return Bernoullis(
             (layer,), np.zeros((0, 2), np.int64), n, GaussianMixture.empty(model.motion.dim)
@@ -292,7 +304,7 @@ class PMB(Checked, Filter[Bernoullis]):
         self._check_noise(len(seen.period))
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         # Predicted measurements of known targets, and first detections of new ones: γ̂(z)
-        ahead = expected(model.sensor, now.mean, now.covariance, self.transform)
+        ahead = predicted_measurements(model.sensor, now.mean, now.covariance, self.transform)
         births = with_births(state.undetected, model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
         # Gate, associate by belief propagation, update every Bernoulli target
@@ -341,11 +353,13 @@ class PMB(Checked, Filter[Bernoullis]):
         return intensity, scores
 
     def _check_noise(self, components: int) -> None:
-        """Raise `InputError` if noises cannot be learned of measurements with so many components."""
+        """Raise `InputError` if noises cannot be learned of so many measured components."""
         if self.noise_freedom and components not in (2, 4):
-            problem = f"noises are learned of measurements with 2 or 4 components, these have {components}"
             raise InputError(
-                problem, where="filter.noise_freedom", cure="Use 0, the model's noises"
+                "noises are learned of measurements with 2 or 4 components, these have"
+                f" {components}",
+                where="filter.noise_freedom",
+                cure="Use 0, the model's noises",
             )
 
     def _settings(self, gate: float, dt: float, lasting: bool) -> Settings:
@@ -419,10 +433,7 @@ class BestBernoullis(Checked):
         layers = state.layers
         frames = list[Estimates | None]()
         present = now = _best(layers[-1])
-        if len(layers) > 1:
-            before = _best(layers[-2])
-        else:
-            before = now
+        before = _best(layers[-2]) if len(layers) > 1 else now
         for back in range(1, len(layers)):
             after = layers[-back]
             then = layers[-back - 1]

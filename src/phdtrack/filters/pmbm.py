@@ -65,7 +65,13 @@ from phdtrack.kernels.gaussian import (
     all_posteriors,
 )
 from phdtrack.kernels.pmb import NEVER, TINY
-from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
+from phdtrack.models.gaussian import (
+    Transform,
+    measurements,
+    moved,
+    new_targets,
+    predicted_measurements,
+)
 from phdtrack.models.rts import predict as ahead_of
 from phdtrack.models.rts import smooth_back
 from phdtrack.protocols import Filter, Model
@@ -142,11 +148,14 @@ class PMBM(Checked, Filter[Hypotheses]):
         leaves = state.leaves
         seen = measurements(model.sensor, z, model.clutter.intensity(z))
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
+        # First detections of new targets λ̂(z), and predicted measurements of the others
         seen, new, undetected = self._unassigned(state.undetected, seen, z, model, dt, gate)
-        e = expected(model.sensor, leaves.mean, leaves.covariance, self.transform)
+        e = predicted_measurements(model.sensor, leaves.mean, leaves.covariance, self.transform)
         p_detect = np.minimum(leaves.r * e.p_detect, 1 - NEVER)
+        # Weigh every pair within the gates
         scores = _scores(e, seen, new, p_detect, gate)
         limits = Limits(self.max_hypotheses, self.hypothesis_threshold, self.existence_threshold)
+        # The best assignments under every global hypothesis, then their densities
         branches = branched(state, scores, limits)
         grown = replace(_grown(state, branches, p_detect, e, seen, new), undetected=undetected)
         return grown, _info(state, grown, branches, scores, seen.clutter, new)
@@ -168,16 +177,15 @@ class PMBM(Checked, Filter[Hypotheses]):
         return seen, new, still_undetected(births, model)
 
     def reduce(self, state: Hypotheses, rng: np.random.Generator) -> Hypotheses:
-        """Improbable targets are given back, clusters that have become independent part, nodes that
-        nothing rests on go.
-        """
+        """Recycle improbable targets, split independent clusters, drop unreferenced nodes."""
         leaves = state.leaves
         probability = state.probability
         weak = np.flatnonzero(
             (leaves.r > 0) & (leaves.r < self.existence_threshold) & (probability > 0)
         )
-        given = probability[weak] * leaves.r[weak], leaves.mean[weak], leaves.covariance[weak]
-        state = replace(state, undetected=recycled(state.undetected, *given))
+        weight = probability[weak] * leaves.r[weak]
+        undetected = recycled(state.undetected, weight, leaves.mean[weak], leaves.covariance[weak])
+        state = replace(state, undetected=undetected)
         return compact(parted(ended(state, self.existence_threshold)))
 
 
@@ -213,7 +221,7 @@ class MHT(PMBM):
     frame_size: tuple[float, float] = (0.0, 0.0)
 
     def start(self, model: Model, rng: np.random.Generator) -> Hypotheses:
-        """The initial targets, each a track of its own; none where none were given."""
+        """The initial targets, each a track of its own; none without an initial mixture."""
         nothing = GaussianMixture.empty(model.motion.dim)
         return begun(self.initial or nothing, nothing)
 
@@ -267,9 +275,7 @@ class MHT(PMBM):
         return width * height
 
     def reduce(self, state: Hypotheses, rng: np.random.Generator) -> Hypotheses:
-        """Ended tracks are forgotten, clusters that have become independent part, nodes that
-        nothing rests on go.
-        """
+        """Drop ended tracks, split independent clusters, drop unreferenced nodes."""
         return compact(parted(ended(state, self.existence_threshold)))
 
 
@@ -420,8 +426,8 @@ class BestHypothesis(Checked):
         """
         at: I8 = state.best()
         exists = state.leaves.r[at]
-        given = (state.leaves.mean[at], state.leaves.covariance[at])
-        frames = [self._estimates(state.leaves, at, exists, given, model)]
+        gaussians = (state.leaves.mean[at], state.leaves.covariance[at])
+        frames = [self._estimates(state.leaves, at, exists, gaussians, model)]
         for k in range(len(state.layers) - 2, -1, -1):
             later = state.layers[k + 1].select(at)
             nodes = state.layers[k]
@@ -434,28 +440,28 @@ class BestHypothesis(Checked):
             there = nodes.r[at]
             left = there * (1 - later.survival) / np.maximum(1 - later.survival * there, TINY)
             exists = np.minimum(exists + (1 - exists) * left, 1.0)
-            given = given[0][known], given[1][known]
+            gaussians = gaussians[0][known], gaussians[1][known]
             if self.smoothed:
                 ahead = ahead_of(model.motion, then.mean, then.covariance, *state.steps[k + 1])
-                given = smooth_back(then.mean, then.covariance, ahead, *given)
+                gaussians = smooth_back(then.mean, then.covariance, ahead, *gaussians)
             else:
-                given = then.mean, then.covariance
-            frames.append(self._estimates(nodes, at, exists, given, model))
+                gaussians = then.mean, then.covariance
+            frames.append(self._estimates(nodes, at, exists, gaussians, model))
         return replace(frames[0], past=tuple(frames[:0:-1]))
 
     def _estimates(
-        self, nodes: Nodes, at: I8, exists: F8, given: tuple[F8, F8], model: Model
+        self, nodes: Nodes, at: I8, exists: F8, gaussians: tuple[F8, F8], model: Model
     ) -> Estimates:
         """Those of the nodes ``at`` (n,), that exist with these probabilities in these states,
         which are reported.
         """
         reported: Bool = exists >= self.min_weight
-        mean = np.ascontiguousarray(given[0][reported].T)
+        mean = np.ascontiguousarray(gaussians[0][reported].T)
         at = at[reported]
         boxes = model.sensor.boxes(mean)
         label = nodes.label[at]
         found = Estimates(
-            mean, given[1][reported], exists[reported], boxes, nodes.detection[at], label
+            mean, gaussians[1][reported], exists[reported], boxes, nodes.detection[at], label
         )
         # Labels rise with the frame in which a track began.
         return found.select(without_overlaps(found.xyxy, self.merge_iou))

@@ -50,18 +50,24 @@ def _gains(
 
 @njit(**ENTRY)
 def children(
-    leaf: I8, weight: F8, pair: tuple[I8, I8, F8], columns: I8, missed: F8, unassigned: F8, begins: Bool,
+    leaf: I8,
+    weight: F8,
+    pair: tuple[I8, I8, F8],
+    columns: I8,
+    missed: F8,
+    unassigned: F8,
+    begins: Bool,
     limits: tuple[int, float],
-) -> tuple[I8, F8, F8]:  # fmt: skip
+) -> tuple[I8, F8, F8]:
     """The best hypotheses that follow from a cluster's, the most probable first.
 
     ``leaf`` (H, T), ``weight`` (H,): the cluster. ``pair`` (P,): leaf, measurement and gain of the
     pairs in the gates of its leaves; ``columns`` (m,): the measurements of these. ``missed`` (L,),
     ``unassigned`` (N,): log-weights of leaves that are missed, and of measurements that no earlier
-    track has; ``begins`` (N,): whether a measurement may begin a track. ``limits``: how many are
-    given at most, and the log of the least weight as a share of the best's.
+    track has; ``begins`` (N,): whether a measurement may begin a track. ``limits``: how many come
+    back at most, and the log of the least weight as a share of the best's.
 
-    Back come the hypotheses (K, T'), in which (leaf + 1)(N + 1) + measurement + 1 stands for a leaf
+    Returns the hypotheses (K, T'), in which (leaf + 1)(N + 1) + measurement + 1 stands for a leaf
     and its measurement, where −1 is for none, and −1 for no track; their weights (K,); and the
     probability (m,) that each measurement is no earlier track's.
     """

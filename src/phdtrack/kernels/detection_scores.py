@@ -1,5 +1,5 @@
-"""Verdicts on detections that look at no score, and the logistic regression that they teach. See
-`models.scores`.
+"""Labels of detections by their chains, and the logistic regression of scores that they train. See
+`models.detection_scores`.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def chained(
 
     ``before`` (n, 4) are the boxes of the frame before, of whose chains ``waiting`` (n, L) are what
     waits, NaN where nothing does, and ``length`` (n,) how long they are. ``boxes`` (m, 4) and ``x``
-    (m,) are of this frame. Back come both for its m chains, x of what was true, as its chain has
+    (m,) are of this frame. Returns both for its m chains, x of what was true, as its chain has
     lasted for L frames, and false, as it has ended before, and how many of the frame before were
     alone: linked neither before nor now.
     """

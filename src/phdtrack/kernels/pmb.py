@@ -5,9 +5,10 @@ i of weight w_i, which are given its existence. With p_i the probability that hy
 detected, q_i(z) = N(z; ẑ_i, S_i), γ̂(z) the density of first detections and κ(z) that of false
 alarms,
 
-    missed            1 − r Σ w_i p_i;  then it exists with probability r Σ w_i (1 − p_i) / (1 − r Σ
-    w_i p_i) detected          r w_i p_i q_i(z), by hypothesis i no earlier target κ(z) + γ̂(z):  a
-    new target with r = γ̂/(κ + γ̂)
+    missed             1 − r Σ w_i p_i;  then it exists with probability
+                       r Σ w_i (1 − p_i) / (1 − r Σ w_i p_i)
+    detected           r w_i p_i q_i(z), by hypothesis i
+    no earlier target  κ(z) + γ̂(z):  a new target with r = γ̂/(κ + γ̂)
 
 The odds of a pair (target, measurement) are ψ = Σ_i r w_i p_i q_i(z) / (missed · (κ + γ̂)). Belief
 propagation (`kernels.association`) turns them into the probability of each pair over all one-to-one
@@ -57,9 +58,8 @@ CONFIRMED = 0.05
 STATIC_SHARE = 0.5
 
 # A target: the probabilities that it exists, and that it does and is not static clutter (its
-# presence), and the greatest presence that it ever had; its label, rising, from 0, none given
-# twice; its hypotheses begin … end − 1, and the heaviest of them that is not static, −1 where there
-# is none.
+# presence), and the greatest presence that it ever had; its label, rising, from 0, unique; its
+# hypotheses begin … end − 1, and the heaviest of them that is not static, −1 where there is none.
 TARGET = records("r presence max_presence", "label begin end best")
 # A hypothesis: its weight, which sum to one for each target; the probability that the target cannot
 # be detected at present; the log odds that it is genuine, and no lasting false alarm; its target;
@@ -88,7 +88,7 @@ class Layer(NamedTuple):
 
 
 class Scores(NamedTuple):
-    """What the scores of a frame's measurements say.
+    """The evidence of the scores of a frame's measurements.
 
     ``odds`` (N,): p(s|target)/p(s|false alarm). ``log_odds`` (N,): log p(s|target)/p(s|lasting
     false alarm). ``prior``: log odds that a new target is genuine, and no lasting false alarm;
@@ -101,8 +101,8 @@ class Scores(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Those of `filters.PMB` that an update needs; ``gate`` in deviations, ``merge_distance`` 0 to
-    merge nothing.
+    """The settings of `filters.PMB` that an update needs; ``gate`` in deviations,
+    ``merge_distance`` 0 to merge nothing.
     """
 
     existence_threshold: float
@@ -118,9 +118,14 @@ class Settings(NamedTuple):
 
 @njit(**ENTRY)
 def predicted_layer(
-    layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float, freedom: tuple[float, float],
+    layer: Layer,
+    p: Predicted,
+    noise: F8,
+    occlude: float,
+    reappear: float,
+    freedom: tuple[float, float],
     genuine: tuple[float, float],
-) -> Layer:  # fmt: skip
+) -> Layer:
     """The targets after an interval, ``p`` their hypotheses after the motion; static clutter stays
     where it is.
 
@@ -129,7 +134,7 @@ def predicted_layer(
     occluded one visible. ``freedom``: the degrees of freedom with which a target's noises begin, 0
     where they are the model's, and the part of what is known of them that is kept; in place of the
     rest they are the model's again. ``genuine``: the log odds with which a target is genuine before
-    its scores are known, and the part kept of what they said.
+    its scores are known, and the part kept of the evidence of scores.
     """
     start, kept = freedom
     prior, remembered = genuine
@@ -516,10 +521,10 @@ def after_score(genuine: float, scores: Scores, j: int) -> float:
     """The log odds that a target is genuine, after the score of measurement j."""
     if scores.prior >= CERTAIN:
         return genuine
-    said = scores.log_odds[j]
-    if genuine >= scores.prior + PROVED and said < 0.0:
+    log_odds = scores.log_odds[j]
+    if genuine >= scores.prior + PROVED and log_odds < 0.0:
         return genuine
-    after = genuine + said
+    after = genuine + log_odds
     return LIMIT if after > LIMIT else -LIMIT if after < -LIMIT else after
 
 

@@ -48,32 +48,38 @@ def followed_back(
 
 @njit(**ENTRY)
 def earlier(
-    now: Records, before: Records, after: Records, targets: Records, hypotheses: Records, past: tuple[I8, int],
-    present: bool, min_weight: float,
-) -> tuple[Records, Records, bool]:  # fmt: skip
+    now: Records,
+    before: Records,
+    after: Records,
+    targets: Records,
+    hypotheses: Records,
+    past: tuple[I8, int],
+    present: bool,
+    min_weight: float,
+) -> tuple[Records, Records, bool]:
     """The traces a frame earlier, as seen now and as seen a frame ago, and whether both report the
-    same up to there.
+    same states up to there.
 
-    ``now``, ``before``, of `TRACE`, and ``after``, hypotheses, are of the frame after it; where
-    that is the ``present`` one, ``before`` is given of the frame itself. ``past`` (E, 2): frame and
-    hypothesis of targets that have ended, and the number of the frame. ``min_weight``: presence
-    from which a target is reported. Both report the same where all targets that are reported, or
-    may be in an earlier frame, have the same hypotheses and are reported in both or in none: their
-    pasts are the same.
+    ``now``, ``before``, of `TRACE`, and ``after``, hypotheses, are of the frame after it; if that
+    is the ``present`` one, ``before`` is of the frame itself. ``past`` (E, 2): frame and hypothesis
+    of targets that have ended, and the number of the frame. ``min_weight``: presence from which a
+    target is reported. Both report the same where all targets that are reported, or may be in an
+    earlier frame, have the same hypotheses and are reported in both or in none: their pasts are the
+    same.
     """
     ended, frame = past
     now = followed_back(now, after, targets, hypotheses, ended, frame)
     if not present:
         before = followed_back(before, after, targets, hypotheses, ended, frame)
     for t in range(targets.size):
-        one = now[t]
-        other = before[t]
+        new = now[t]
+        old = before[t]
         ever = targets[t].max_presence >= min_weight
-        seen = one.presence >= min_weight
-        was_seen = other.presence >= min_weight
-        is_there = one.place >= 0 and (seen or ever)
-        was_there = other.place >= 0 and (was_seen or ever)
-        if is_there != was_there or (is_there and (one.place != other.place or seen != was_seen)):
+        shown = new.presence >= min_weight
+        was_shown = old.presence >= min_weight
+        is_there = new.place >= 0 and (shown or ever)
+        was_there = old.place >= 0 and (was_shown or ever)
+        if is_there != was_there or (is_there and (new.place != old.place or shown != was_shown)):
             return now, before, False
     return now, before, True
 

@@ -184,7 +184,7 @@ class _AroundDetections(abc.ABC):
         """γT around the detections."""
         return births_around(sensor.states(z), self.density(z) * seconds)
 
-    def expected(self, z: F8, seconds: float) -> float:
+    def expected_count(self, z: F8, seconds: float) -> float:
         """The mass of γT."""
         rate: float = self.births_per_second + self.births_per_detection * z.shape[1]
         return min(rate * seconds, MOST_EXPECTED)
@@ -310,7 +310,7 @@ class UniformBirth(Checked):
             cure="Use births around the detections (birth.kind=point), or particles",
         )
 
-    def expected(self, z: F8, seconds: float) -> float:
+    def expected_count(self, z: F8, seconds: float) -> float:
         """births_per_second·seconds."""
         return self.births_per_second * seconds
 
@@ -340,6 +340,6 @@ class FixedBirth(Checked):
         """The Gaussians, of total mass weight·seconds, independent of measurements [V06 (22)]."""
         return births_around(sensor.states(z), np.zeros(z.shape[1]), self.places, seconds)
 
-    def expected(self, z: F8, seconds: float) -> float:
+    def expected_count(self, z: F8, seconds: float) -> float:
         """The mixture's mass, over seconds."""
         return self.places.mass * seconds

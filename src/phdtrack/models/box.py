@@ -110,7 +110,7 @@ class BoxSensor(Checked):
         """G, the gate's half-width in deviations."""
         return math.sqrt(chi2_quantile(4, self.gate_probability))
 
-    def expected(self, x: F8) -> F8:
+    def predicted_measurements(self, x: F8) -> F8:
         """(4, L) centre and size of the boxes."""
         return x[list(OBSERVED)]
 

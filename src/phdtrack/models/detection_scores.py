@@ -16,8 +16,8 @@ step of Newton's method on the posterior of (a, b), a Gaussian with the precisio
 so far; what is old is forgotten. Where all scores are the same they say nothing.
 
 How many false alarms there are is learned, too: few detections of targets overlap one neither of
-the frame before nor of the next. Where more than the share `DetectionScores.usual_alone` are alone, false
-alarms are as much more than the model says.
+the frame before nor of the next. If more than the share `DetectionScores.usual_alone` are alone,
+false alarms are as much more than the model says.
 
 False alarms that last, as of a poster or of one's own mirror image, are linked like targets, so
 that nothing is learned of them. Against these a score is read as the probability that it claims to
@@ -131,10 +131,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         limit = math.log(self.max_odds)
         slope, offset = self._line(state, kind)
         single = np.minimum(np.maximum(slope * x + offset, -limit), limit)
-        if kind == RANK:
-            lasting = LASTING_SHARE * single
-        else:
-            lasting = x
+        lasting = LASTING_SHARE * single if kind == RANK else x
         nothing = np.isnan(x)
         if nothing.any():
             return np.where(nothing, 0.0, single), np.where(nothing, 0.0, lasting)

@@ -108,8 +108,10 @@ def moved(
     return mean, covariance, predicted(model, mean, covariance, dt, transform, factor)
 
 
-def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> Expected:
-    """Predicted measurements of Gaussians [V06 (36), §IV-B].
+def predicted_measurements(
+    sensor: Sensor, mean: F8, covariance: F8, transform: Transform
+) -> Expected:
+    """The measurements that Gaussians predict [V06 (36), §IV-B].
 
     Raises `InputError` if the transform is ``linear`` and the sensor is not.
 
@@ -131,7 +133,7 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
         return Expected(row_numbers(sensor.observed), mean, covariance, covariance, noise, p_detect)
     points = sigma_points(columns, covariance)
     d, many, count = points.shape
-    through = sensor.expected(points.reshape(d, many * count)).reshape(
+    through = sensor.predicted_measurements(points.reshape(d, many * count)).reshape(
         len(sensor.angles), many, count
     )
     step = sensor.innovation(through, through[:, :1])
@@ -196,6 +198,6 @@ def new_targets(
     p_detect = model.sensor.p_detect(np.ascontiguousarray(around.mean.T))
     if len(births.weight) == 0:
         return NewTargets(p_detect * around.density, around.mean, around.covariance)
-    fixed = expected(model.sensor, births.mean, births.covariance, transform)
+    fixed = predicted_measurements(model.sensor, births.mean, births.covariance, transform)
     out: NewTargets = first_states(births, p_detect, fixed, m, gate)
     return out

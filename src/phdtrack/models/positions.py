@@ -120,7 +120,7 @@ class PositionSensor(Checked):
         """
         return z[2], z[3], z[4]
 
-    def expected(self, x: F8) -> F8:
+    def predicted_measurements(self, x: F8) -> F8:
         """(2, …) the positions."""
         return x[:2]
 

@@ -93,7 +93,7 @@ class SceneBirth(Checked):
         learned_births = GaussianMixture(self.births_per_second * weight, mean, covariance)
         return births_around(measured, flat, learned_births, seconds)
 
-    def expected(self, z: F8, seconds: float) -> float:
+    def expected_count(self, z: F8, seconds: float) -> float:
         """s̄T, or the number of births around all detections."""
         if self.births_per_detection > 0:
             return float(self.births_per_detection * seconds * z.shape[1])

@@ -12,7 +12,7 @@ from extract_cases import EXTRACTORS, HERE, MODEL, NAMES, THERE, cloud, moved, s
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.filters.extract import REACH, KMeans, _seeds, known_blocks
+from phdtrack.filters.extract import REACH, KMeans, known_blocks, seeds
 from phdtrack.filters.particle_blocks import cut
 from phdtrack.kernels.kmeans import PATIENCE, Rule, kmeans
 from phdtrack.kernels.mixtures import Gaussians, em_step, nothing_known
@@ -82,7 +82,7 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
     sensor = MODEL.sensor
     if state.mass < extractor.min_weight:
         return
-    centres, _ = _seeds(known_blocks(state), z, sensor, extractor.min_weight)
+    centres, _ = seeds(known_blocks(state), z, sensor, extractor.min_weight)
     order, _ = cut(state.state)
     mass, mean, cov = twin.kmeans(
         state.state[:, order],

@@ -130,7 +130,7 @@ def test_missed_targets_are_found_behind_the_scraps_of_clutter(extractor):
 
 
 @both
-def test_a_missed_target_whose_particles_lie_scattered_in_memory_is_found(extractor, rng):
+def test_missed_target_with_scattered_particles_is_found(extractor, rng):
     state = together(
         cloud(rng, HERE, 1.0),
         cloud(rng, THERE, 0.7),
@@ -277,7 +277,7 @@ def test_a_detection_serves_the_closest_state_only():
     assert list(finish(peaks, seen(), MODEL).detection) == [-1, -1]
 
 
-def test_the_mixture_finds_means_and_shares_of_overlapping_targets(rng):
+def test_mixture_finds_means_and_weights_of_overlapping_targets(rng):
     """Two clouds that touch: K-means cuts between them and pushes the means apart, EM does not."""
     beside = moved(14)
     state = together(
