@@ -244,7 +244,9 @@ def live(hours: float, per_hour: int, folder: Path) -> list[Hour]:
     )
 
     def make(info: SequenceInfo) -> CameraParts:
-        return CameraParts(_Given(), build_classes(load(None, ["associate.history=60"]), info), info)
+        return CameraParts(
+            _Given(), build_classes(load(None, ["associate.history=60"]), info), info
+        )
 
     watching = Watching(0, per_hour)
     source = _Replayed(round(hours * per_hour), watching.frame)

@@ -73,7 +73,7 @@ def test_frames_that_nobody_saw_teach_nothing():
         state, _ = pipeline.advance(
             built, state, Detections.empty(observed=False), number, number / 25, rng
         )
-    learned = state.learned
+    learned = state.detection_scores
     assert learned.sums.frames == 0
     assert not learned.pending.frames
     assert learned.rates.detection == built.model.sensor.detection_probability
@@ -133,8 +133,8 @@ def course(filter_name, seed, sets=(), frames=FRAMES, interval=1.0, **detector):
         state, _ = pipeline.advance(
             built, state, found.at(number), number, (number - 1) / scene.fps, rng
         )
-        rates.append(state.learned.rates)
-    return rates, len(found) / frames, state.learned
+        rates.append(state.detection_scores.rates)
+    return rates, len(found) / frames, state.detection_scores
 
 
 @pytest.mark.parametrize("p_detect", [0.5, 0.7, 0.9, 0.98])

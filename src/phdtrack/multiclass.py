@@ -71,7 +71,7 @@ class Seed(NamedTuple):
 
 
 class SavedPipeline(NamedTuple):
-    """What a saved state holds of a class; see `_ClassPipeline`."""
+    """The saved state of a class; see `_ClassPipeline`."""
 
     seed: Seed
     state: TrackingState
@@ -82,7 +82,7 @@ class SavedPipeline(NamedTuple):
 
 
 class SavedPipelines(NamedTuple):
-    """What a saved state holds besides the pipelines of the ``classes``; see `ClassPipelines`."""
+    """The saved state besides the pipelines of the ``classes``; see `ClassPipelines`."""
 
     classes: tuple[int, ...]
     past: tuple[tuple[int, float, F8, bool], ...]
@@ -483,7 +483,7 @@ def _vote(identity: I8, labels: I8, score: F8, votes: Votes) -> None:
 
 
 def _saved(one: _ClassPipeline) -> SavedPipeline:
-    """What `_restored` makes the pipeline of."""
+    """The record from which `_restored` makes the pipeline."""
     return SavedPipeline(
         Seed.of(one.rng), one.state, one.together, one.waiting, dict(one.votes), one.highest
     )

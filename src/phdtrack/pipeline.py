@@ -220,7 +220,7 @@ def _interval(
 def _with_camera_motion(
     stages: AnyStages, state: TrackingState, z: F8, warp: F8, when: tuple[int, float]
 ) -> tuple[Any, Model]:
-    """What is known of the camera's motion, and the model of the frame with it.
+    """The state of the camera's motion, and the model of the frame with it.
 
     The motion is ``warp``, or what the measurements ``z`` (m, N) show; ``when`` is number and time.
     """
@@ -307,7 +307,7 @@ def merged(steps: Sequence[Step], detections: Detections) -> Step:
 
 
 def _merged_info(steps: Sequence[Step]) -> UpdateInfo:
-    """What the updates of several pipelines learned of the frame that they share."""
+    """The record of the updates of several pipelines that share a frame."""
     infos = [step.info for step in steps]
     evidence = clutter = probability = cardinality = np.zeros(0)
     if all(len(step.info.evidence) == len(step.detections) for step in steps):

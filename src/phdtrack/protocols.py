@@ -64,7 +64,7 @@ class Motion(Protocol):
         """(d, L) the states ``x`` (d, L) in the pixels of the next frame; ``warp`` (3, 3) is the
         homography to it.
 
-        Raises `InputError` where states do not lie in the image.
+        Raises `InputError` if states do not lie in the image.
         """
 
     def warp_jacobian(self, x: F8, warp: F8) -> F8:
@@ -82,7 +82,7 @@ class Sensor(Protocol):
 
     @property
     def linear(self) -> bool:
-        """Whether `predicted_measurements` is the ``observed`` rows of the state. Of others
+        """True if `predicted_measurements` is the ``observed`` rows of the state. Of others
         Gaussians need sigma points.
         """
 
@@ -132,7 +132,7 @@ class Sensor(Protocol):
 
     @property
     def occlusion(self) -> bool:
-        """Whether p_D falls where targets hide each other: what `watching` is for."""
+        """True if p_D falls for targets that others hide: then `watching` is called."""
 
     def watching(self, targets: F8) -> Sensor:
         """The sensor while targets are expected at these states (d, n), of which the nearer hide
@@ -178,7 +178,7 @@ class Birth(Protocol):
         """Newborn particles of total mass ∫γT."""
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT around each measurement, and as Gaussians. Raises `InputError` where γ has no such
+        """γT around each measurement, and as Gaussians. Raises `InputError` if γ has no such
         form.
         """
 
@@ -421,7 +421,7 @@ class CameraEstimator(Protocol[C]):
 
 
 class Learning(Protocol[C]):
-    """What is learned while tracking."""
+    """Learning while tracking."""
 
     def start(self) -> C:
         """The state before the first frame."""

@@ -44,8 +44,8 @@ LAST_FRAME = 10_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """What is known about a sequence before its frames are read; ``frames`` is 0 where their number
-    is not (headers lie).
+    """The facts about a sequence before its frames are read; ``frames`` is 0 if their number is not
+    known (headers lie).
     """
 
     width: int
@@ -162,7 +162,7 @@ class DetectionTable:
         return len(self.frame)
 
     def at(self, number: int) -> Detections:
-        """The detections of frame ``number``; empty where the table has none."""
+        """The detections of frame ``number``; empty if the table has none."""
         lo, hi = np.searchsorted(self.frame, [number, number + 1])
         return self.detections.select(np.arange(lo, hi)).numbered()
 
@@ -300,7 +300,7 @@ class GaussianMixture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpdateInfo:
-    """What an update learned beside the new state.
+    """The results of an update besides the new state.
 
     Attributes
     ----------
@@ -391,7 +391,7 @@ class Explanation:
         )
 
     def in_frame(self, info: UpdateInfo) -> UpdateInfo:
-        """What an update learned of the N′ detections, in terms of the frame's N.
+        """The record of an update with the N′ detections, in terms of the frame's N.
 
         A detection that several targets share is a false alarm of its first part, or the target
         that explains it best. One that went into none is a false alarm.
@@ -434,7 +434,7 @@ class Estimates:
     tag : (n,) the label of the target that each state is of, its own for life, of filters that
         follow targets one by one; (0,) of others.
     past : the states of the frames before this one, oldest first, ending with the frame just
-        before, as this frame sees them, None where that is as the frame before saw them: for
+        before, as this frame sees them, None if that is as the frame before saw them: for
         filters that revise the past. Empty: the past stands. One frame's reaches no further back
         than the last one's did.
     """

@@ -75,7 +75,7 @@ class Identities(NamedTuple):
     length, gain : (A,) its states, and what their links gained.
     confirmed : (A,) whether it has been confirmed.
     missed : (A,) frames since its last state; AGES where the target has left.
-    confidence : (A,) of that state; 0 where it is not known any more.
+    confidence : (A,) of that state; 0 if it is not known any more.
     state : (d, A) the last state, carried on by the motion model.
     """
 
@@ -89,11 +89,11 @@ class Identities(NamedTuple):
     state: F8
 
     def select(self, index: I8 | Bool) -> Identities:
-        """Those at ``index``."""
+        """The identities at ``index``."""
         return Identities._make(column[..., index] for column in self)
 
     def join(self, other: Identities) -> Identities:
-        """These, then the other ones."""
+        """Both, one after the other."""
         if not len(self.identity) or not len(other.identity):
             return self if len(self.identity) else other
         return Identities._make(
@@ -191,7 +191,7 @@ class GraphMatching(Checked):
         """The state with the states of frame ``number`` linked, and the online rows that are now
         due [M07 §3].
 
-        Raises `InputError` where a position is not finite.
+        Raises `InputError` if a position is not finite.
         """
         before = state.window if state.vertices else empty_window(len(estimates.state))
         window, final = self._linked(before, estimates, dt, model)
@@ -330,7 +330,7 @@ class GraphMatching(Checked):
         ]
 
     def _good(self, states: I8 | int, gain: F8) -> Bool:
-        """Whether the links of tracks gain enough; a perfect typical link gains
+        """True for tracks with links that gain enough; a perfect typical link gains
         loose_end_distance²/2.
         """
         return gain >= self.min_link_gain * 0.5 * self.loose_end_distance**2 * (states - 1)
@@ -479,7 +479,7 @@ def _new(identity: I8, estimates: Estimates, vertex: I8) -> Identities:
 
 
 def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
-    """Of each vertex from ``first`` on the vertex that it is linked to later, −1 for none, and the
+    """For each vertex from ``first`` on the vertex that it is linked to later, −1 for none, and the
     link's gain.
     """
     count = window.row + len(window.previous) - first

@@ -1,4 +1,4 @@
-"""What the associators remember of each frame, and the rows of corrected tracks that come of it."""
+"""The frames that associators remember, and the rows of corrected tracks that follow from them."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class History:
         return self.recent[index - self.forgotten - CHUNK * len(self.full)]
 
     def __iter__(self) -> Iterator[Moment]:
-        """Those still held."""
+        """The moments that are still held."""
         return itertools.chain(*self.full, self.recent)
 
 

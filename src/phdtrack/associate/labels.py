@@ -47,7 +47,7 @@ NO_TRACKS = Followed(np.zeros(0, np.int64), _NONE, _NONE, _NO_BOX, _NO_BOX, np.z
 
 
 class LabelTable(NamedTuple):
-    """What is known of each label (a,), ascending.
+    """The knowledge of each label (a,), ascending.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class LabelTable(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LabelledState:
-    """What is carried from frame to frame.
+    """The state that is carried from frame to frame.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class Labelled(Checked):
         """The state with those of frame ``number`` and what they revise, and the online rows that
         are now due.
 
-        The past of the estimates counts, too. Raises `InputError` where states have no label.
+        The past of the estimates counts, too. Raises `InputError` if states have no label.
         """
         time = state.time + dt
         settled = max(0, len(state.recent) - len(estimates.past))

@@ -62,7 +62,7 @@ class UpdateTerms:
     least: float = TINY
 
     def info(self, mass: float, vanished: int = 0) -> UpdateInfo:
-        """What the update learned, ``mass`` being that after it."""
+        """The record of the update; ``mass`` is that after it."""
         detected = self.mass - self.missed
         return UpdateInfo(
             self.mass,

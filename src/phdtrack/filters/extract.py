@@ -69,8 +69,8 @@ MERGE_DISTANCE = 2.0
 
 
 class _Extraction(Checked):
-    """What the extractions share: peaks are counted where the state is of a cardinalised filter and
-    the settings say so.
+    """The common part of the extractions: peaks are counted if the state is of a cardinalised
+    filter and the settings say so.
     """
 
     __slots__ = ()
@@ -235,7 +235,7 @@ class Components(_Extraction):
 
 
 def known_blocks(intensity: Intensity) -> Blocks:
-    """The particles of an intensity that is not empty in blocks; `ValueError` where a state is NaN
+    """The particles of an intensity that is not empty in blocks; `ValueError` if a state is NaN
     or infinite.
     """
     if not isinstance(intensity, ParticleBlocks):
@@ -267,6 +267,11 @@ def seeds(blocks: Blocks, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, B
     every centre's reach, some of these particles become centres: every half of it along their
     cumulative weight one claims what is in its reach and not claimed yet. Free are particles that
     no centre reaches.
+
+    Parameters
+    ----------
+    blocks, z : the particles and the (m, N) measurements.
+    sensor, lightest : the sensor, and the mass of the lightest target.
     """
     centres = sensor.states(z)[0]
     low, high = _windows(centres, sensor)

@@ -37,7 +37,7 @@ class Nodes:
     mean : (L, d).      covariance : (L, d, d).
     r : (L,) probability that the target exists, if the measurements of its history are its own.
     detection : (L,) measurement of the frame that it took, −1 for none.
-    parent : (L,) its node in the frame before; −1 where the track begins.
+    parent : (L,) its node in the frame before; −1 if the track begins.
     label : (L,) the track's number, from 0, unique.
     missed : (L,) frames since it last took a measurement.
     survival : (L,) p_S of the interval before; 1 where the track begins.
@@ -185,7 +185,7 @@ class Branches:
 
 
 def before(nodes: Nodes, index: I8) -> I8:
-    """(n,) where the parents of nodes at ``index`` (n,) are in the frame before; −1 where the track
+    """(n,) where the parents of nodes at ``index`` (n,) are in the frame before; −1 if the track
     began or index is −1.
     """
     if len(nodes):
@@ -246,7 +246,7 @@ def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
 
 
 def _lists(part: I8, wanted: I8) -> list[I8]:
-    """Of each wanted part the places that are in it."""
+    """The places that are in each wanted part."""
     order = np.argsort(part, kind="stable")
     low = np.searchsorted(part[order], wanted)
     high = np.searchsorted(part[order], wanted, side="right")
@@ -254,7 +254,7 @@ def _lists(part: I8, wanted: I8) -> list[I8]:
 
 
 def _numbers(leaf: I8, measurement: I8, count: int) -> I8:
-    """The branches' numbers; −1 where there is no leaf."""
+    """The branches' numbers; −1 if there is no leaf."""
     return np.where(leaf >= 0, (leaf + 1) * (count + 1) + measurement + 1, -1)
 
 
@@ -291,7 +291,7 @@ def _missed(cluster: Cluster, scores: Scores, limits: Limits) -> Cluster:
 
 
 def decided(state: Hypotheses) -> Hypotheses:
-    """Of each cluster the hypotheses that agree with the best about the oldest layer (N-scan
+    """Keep the hypotheses of each cluster that agree with the best about the oldest layer (N-scan
     pruning).
 
     Of every track they hold the node that it holds there, or none any more: a hypothesis without a

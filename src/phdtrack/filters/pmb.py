@@ -393,7 +393,7 @@ class PMB(Checked, Filter[Bernoullis]):
         return ended
 
     def _undetected(self, births: Births, model: Model, now: Layer, weak: F8) -> GaussianMixture:
-        """What is left of the births, and of the targets ``now`` those that are deleted, which
+        """The births that stay undetected, and of the targets ``now`` those that are deleted, which
         exist with ``weak`` (T,).
         """
         target = np.flatnonzero((weak > 0) & (now.targets["best"] >= 0))

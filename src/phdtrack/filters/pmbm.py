@@ -257,7 +257,9 @@ class MHT(PMBM):
     def update(
         self, state: Hypotheses, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Hypotheses, UpdateInfo]:
-        """As `PMBM.update`, and then the decision about the frame ``history`` frames back."""
+        """Update like `PMBM.update`, and make the decision about the frame ``history`` frames
+        back.
+        """
         grown, info = PMBM.update(self, state, z, model, dt, rng)
         return decided(grown) if len(grown.layers) > self.history else grown, info
 
@@ -293,7 +295,7 @@ def begun(detected: GaussianMixture, undetected: GaussianMixture) -> Hypotheses:
 
 
 def _scores(e: Expected, m: Measurements, new: NewTargets, p_detect: F8, gate: float) -> Scores:
-    """What measurements, leaves, and pairs contribute to log-weights; ``p_detect`` (L,) is r
+    """The terms of measurements, leaves and pairs in log-weights; ``p_detect`` (L,) is r
     p_D.
     """
     pairs = all_gated(
@@ -375,7 +377,7 @@ def _info(
     clutter: F8,
     new: NewTargets,
 ) -> UpdateInfo:
-    """What the update of ``state`` to ``grown`` learned."""
+    """The record of the update of ``state`` to ``grown``."""
     probability = state.probability
     count = len(clutter)
     share = probability[scores.leaf] * np.exp(scores.gain + scores.missed[scores.leaf])
@@ -452,7 +454,7 @@ class BestHypothesis(Checked):
     def _estimates(
         self, nodes: Nodes, at: I8, exists: F8, gaussians: tuple[F8, F8], model: Model
     ) -> Estimates:
-        """Those of the nodes ``at`` (n,), that exist with these probabilities in these states,
+        """The nodes ``at`` (n,), that exist with these probabilities in these states,
         which are reported.
         """
         reported: Bool = exists >= self.min_weight

@@ -64,7 +64,7 @@ _NO_SCORES = np.zeros(0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoresSeen:
-    """What is known of scores.
+    """The knowledge of scores so far.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class ScoresSeen:
 
     @property
     def kind(self) -> int:
-        """Whether scores are probabilities, log odds, or ranked."""
+        """The scale of scores: probabilities, log odds, or ranked."""
         return int(scaled(_NO_SCORES, *self.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST)[2])
 
 

@@ -144,7 +144,12 @@ def predicted_measurements(
 
 
 def measurements(sensor: Sensor, z: F8, clutter: F8) -> Measurements:
-    """The measurements ``z`` (m, N) of a frame with their noise; ``clutter`` (N,) is κ(z)."""
+    """The measurements of a frame with their noise and κ(z).
+
+    Parameters
+    ----------
+    sensor, z, clutter : the sensor, its (m, N) measurements, and (N,) κ(z).
+    """
     period = _periods(sensor.angles)
     rows = np.ascontiguousarray(z[: len(period)].T)
     return Measurements(rows, sensor.measurement_noise(z), clutter, period)

@@ -45,7 +45,7 @@ class Shown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShareState:
-    """What the boxes shown so far have taught.
+    """The statistics of the boxes shown so far.
 
     Attributes
     ----------
