@@ -134,7 +134,7 @@ def test_light_clusters_are_joined_and_the_heavy_enough_kept(seed: int, k: int):
 
 def test_states_of_boxes_and_their_noise(rng):
     z = rng.uniform(5, 90, (4, 7))
-    sensor = BoxSensor(min_noise=6.0)
+    sensor = BoxSensor(min_noise=6.0, box_noise=0.15, birth_speed=0.06)
     x, _ = sensor.states(z)
     np.testing.assert_array_equal(x[[0, 1, 4, 5]], z)
     np.testing.assert_array_equal(x[2:4], 0)
