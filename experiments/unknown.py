@@ -99,7 +99,7 @@ def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStag
         if labelled
         else GraphMatching(window=SPAN, gap_cost=-model.rate * math.log(MISS))
     )
-    return Whole(model, *stages, associator, learning)
+    return Whole(model, *stages, associator, learning, longest_interval=0.0)
 
 
 def followed(given: Realisation, stages: AnyStages, seed: int) -> Iterator[tuple[Estimates, float]]:

@@ -32,7 +32,7 @@ MISTAKES = [
     ("associate.max_coast=-1", "greater than or equal to 0"),
     (
         "associate.back_dating=2",
-        "It goes with associate.kind=graph; here there are min_track_length",
+        "It goes with associate.kind=graph or detections; here there are",
     ),
     ("associate.min_track_length=2.5", "valid integer"),
     ("associate.min_track_length=0", "greater than or equal to 1"),

@@ -104,7 +104,7 @@ def test_a_flag_is_rejected_and_a_walker_is_not(section):
 
 
 @pytest.mark.parametrize("section", [{}, {"particles": True}], ids=["default", "particles"])
-def test_a_walker_who_enters_where_no_false_alarms_are_is_reported_at_once(section):
+def test_a_walker_away_from_false_alarms_is_reported_at_once(section):
     """The walker from the first state on; the flag is rejected all the same, and corrected tracks
     are the same.
     """

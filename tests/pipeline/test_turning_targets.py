@@ -4,16 +4,19 @@ every stage.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from experiments.bearing import BearingSensor, TurningMotion
+from experiments.scans import PLAIN_PMB
 from experiments.standard_scenes import TURNING_FIRST, TURNING_LAST, turning
 from phdtrack import pipeline
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate.graph import GraphMatching
 from phdtrack.associate.labels import Labelled
-from phdtrack.filters import GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, ParticlePHD
+from phdtrack.filters import GMPHD, MHT, BestBernoullis, BestHypothesis, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans
 from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.protocols import Model, Stages
@@ -67,14 +70,14 @@ def kept(tracks: Tracks) -> np.ndarray:
     [
         (MHT(transform="unscented"), BestHypothesis()),
         (
-            PMB(transform="unscented", mean_visible_time=0.0, static_clutter_prior=0.0),
+            replace(PLAIN_PMB, transform="unscented"),
             BestBernoullis(merge_iou=1.0),
         ),
     ],
     ids=["mht", "pmb"],
 )
 def test_hypotheses_keep_the_identities_of_ten_targets(recursion, extractor):
-    tracks = tracked(Stages(MODEL, recursion, extractor, Labelled()))
+    tracks = tracked(Stages(MODEL, recursion, extractor, Labelled(), longest_interval=0.0))
     assert 9 <= len(np.unique(tracks.identity)) <= 12
     assert (kept(tracks) > 0.9).sum() >= 8
 
@@ -93,7 +96,7 @@ def test_intensities_follow_them_too(recursion, extractor):
 
     The least of the ten is 0.40 with the GM-PHD, and 0.24 to 0.40 with particles of six seeds.
     """
-    tracks = tracked(Stages(MODEL, recursion, extractor, GraphMatching()))
+    tracks = tracked(Stages(MODEL, recursion, extractor, GraphMatching(), longest_interval=0.0))
     share = kept(tracks)
     assert share.min() > 0.2
     assert np.median(share) > 0.6

@@ -689,3 +689,16 @@ def _one_frame_back(state: F8, cov: F8, later: Moment, dt: float, model: Model) 
         state = model.motion.warp_states(state[:, None], homeward)[:, 0]
         cov = slope @ cov @ slope.T
     return state, cov
+
+
+@dataclass(frozen=True, slots=True)
+class DetectionMatching(GraphMatching):
+    """Settings of the association of raw detections: those of `GraphMatching`.
+
+    Parameters
+    ----------
+    min_link_gain : as of `GraphMatching`. A raw detection has no known velocity, so that the links
+        of true tracks gain less than those of filtered states.
+    """
+
+    min_link_gain: Probability = 0.6

@@ -20,7 +20,8 @@ from phdtrack.config import Settings, load
 from phdtrack.config.presets import PRESETS
 from phdtrack.config.registry import SECTIONS, record
 
-# The ten settings that people need first, besides preset and scene: of two rates the one that holds.
+# The ten settings that people need first, besides preset and scene; of two rates the one that
+# holds.
 MAIN = {
     "motion": ("acceleration", "noise_variance", "survival_probability"),
     "sensor": ("detection_probability", "box_noise"),
@@ -90,7 +91,7 @@ def toml_value(value: Any) -> str:
 
 
 def meanings(kind: type[Any]) -> dict[str, str]:
-    """What the docstring of a class says of each of its parameters, in one line."""
+    """Meaning of each parameter of a class, from its docstring, in one line."""
     # What a kind has of another stands there.
     text = inspect.cleandoc(kind.__doc__ or "")
     above = [one for one in kind.__mro__[1:-1] if is_dataclass(one)]

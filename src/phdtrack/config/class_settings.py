@@ -111,7 +111,7 @@ class _ClassValues:
             raise InputError(
                 f"a class has no {setting or 'such setting'} of its own",
                 where=f"classes.{text}",
-                cure=f"It may have min_score, min_size, {sections}; kinds are those of all classes.",
+                cure=f"It may have min_score, min_size, {sections}; kinds hold for all classes.",
             )
 
 

@@ -17,19 +17,15 @@ _FOLDER = Path(__file__).with_name("preset_files")
 PRESETS = ("default", *sorted(path.stem for path in _FOLDER.glob("*.toml")))
 # The preset that holds if none is named: by what is tracked, and by the filter, "" for all others.
 USUAL: Mapping[str, Mapping[str, str]] = {
-    "box": {"pmb": "default", "none": "no-filter", "": "other-filters"},
+    "box": {"pmb": "default", "": "other-filters"},
     "box of a background detector": {
         "pmb": "background",
-        "none": "no-filter",
+        "none": "other-filters",
         "": "background-other-filters",
     },
-    "box of another built-in detector": {
-        "pmb": "mot15",
-        "none": "no-filter",
-        "": "other-filters",
-    },
-    "plane": {"pmb": "ground", "none": "ground-no-filter", "": "ground-other-filters"},
-    "point": {"pmb": "points", "none": "points-no-filter", "": "points-other-filters"},
+    "box of another built-in detector": {"pmb": "mot15", "": "other-filters"},
+    "plane": {"pmb": "ground", "": "ground-other-filters"},
+    "point": {"pmb": "points", "": "points-other-filters"},
 }
 
 

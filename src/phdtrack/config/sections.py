@@ -16,7 +16,7 @@ from phdtrack.models.volumes import EVERYWHERE, Region, check_region
 from phdtrack.types import GaussianMixture
 
 Places = list[tuple[float, float, float, float, float]]
-"""Gaussians on the ground: x, y in metres, weight, deviations of position (m) and velocity (m/s)."""
+"""Gaussians on the ground: x, y in metres, weight, deviations of position (m), speed (m/s)."""
 Label = int | str
 """A class, by its number or its name."""
 
