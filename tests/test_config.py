@@ -59,7 +59,8 @@ def chosen(section: str, kind: str) -> list[str]:
 WORDS = {
     "particle": "detection", "given": "fixed", "fixed": "given",
     "continuous": "piecewise", "piecewise": "continuous", "map": "eap", "box": "plane",
-    "": "07:30 day", "similarity": "homography", "linear": "unscented", "births": "clutter", "clutter": "births",
+    "": "07:30 day", "similarity": "homography", "linear": "unscented",
+    "births": "clutter", "clutter": "births",
 }  # fmt: skip
 
 

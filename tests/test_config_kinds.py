@@ -51,7 +51,7 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     (["filter.kind=gm-phd", "extract.kind=kmeans"], "use components"),
     (["extract.kind=mixture", "filter.kind=gm-phd"], "use components"),
     (["filter.kind=particle-phd", "extract.kind=components"], "kmeans or mixture"),
-    (["filter.kind=gm-phd", "associate.kind=labelled"], "use graph; it goes with filter.kind=.*pmb"),
+    (["filter.kind=gm-phd", "associate.kind=labelled"], "use graph; it goes with .*pmb"),
     (["extract.kind=kmeans"], "use bernoullis; it goes with filter.kind=particle-phd"),
     (["motion.kind=point", "birth.kind=measurement"], "does not fit"),
     (["sensor.kind=point"], "does not fit"),
