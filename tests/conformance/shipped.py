@@ -61,10 +61,12 @@ from plane_cases import FRAME, LevelCamera
 SIZE = (640.0, 480.0)
 
 MOTIONS = {
-    "scaled": BoxMotion(frame_size=SIZE),
-    "fixed": BoxMotion(acceleration=1.2, size_noise=2.0, scaled_noise=False, frame_size=SIZE),
-    "borderless": BoxMotion(),
-    "still": BoxMotion(acceleration=0.0, size_noise=0.0),
+    "scaled": BoxMotion(frame_size=SIZE, roughening=0.0),
+    "fixed": BoxMotion(
+        acceleration=1.2, size_noise=2.0, scaled_noise=False, frame_size=SIZE, roughening=0.0
+    ),
+    "borderless": BoxMotion(roughening=0.0),
+    "still": BoxMotion(acceleration=0.0, size_noise=0.0, roughening=0.0),
     "plane": PlaneMotion(borders=(0.0, 0.0, 500.0, 400.0)),
     "plane, piecewise": PlaneMotion(form="piecewise"),
     "plane, still": PlaneMotion(acceleration=0.0),
@@ -73,9 +75,10 @@ MOTIONS = {
     "point": PointMotion(),
 }
 SENSORS = {
-    scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "fixed", "given")
+    scaling: BoxSensor(0.95, scaling=scaling)
+    for scaling in ("particle", "detection", "fixed", "given")
 }
-SENSORS["no floor"] = BoxSensor(min_noise=0.0)
+SENSORS["no floor"] = BoxSensor(0.95, min_noise=0.0)
 SENSORS["plane"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), frame_size=FRAME)
 SENSORS["plane, fixed"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), scaling="fixed")
 SENSORS["plan"] = PlaneSensor(scaling="given")
