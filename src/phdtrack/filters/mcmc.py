@@ -42,6 +42,7 @@ from phdtrack.filters.phd_particle import ParticlePHD
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.mcmc import Chain, jump_chain, make_options, pair_likelihoods
 from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.kernels.particle_models import kernel_for
 from phdtrack.protocols import Filter, Model, Sensor
 from phdtrack.types import (
     F8,
@@ -209,7 +210,8 @@ def _pairs(x: F8, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
     x = np.ascontiguousarray(x, np.float64)
     numbers = sensor.particle_model(z)
     member, which = points_in_rectangles(x[:2], *sensor.gate(z))
-    return member, which, *pair_likelihoods(x, numbers.model, numbers.table, member, which)
+    likelihoods = kernel_for(pair_likelihoods, numbers.model)
+    return member, which, *likelihoods(x, numbers.model, numbers.table, member, which)
 
 
 def _entries(

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from phdtrack.kernels.particle_models import BLOCK, SensorNumbers
+from phdtrack.kernels.particle_models import BLOCK, SensorNumbers, kernel_for
 from phdtrack.kernels.particles import Part, Sums, masses, weigh
 from phdtrack.types import F8, I8, ParticleBlocks, Particles, Real
 
@@ -79,7 +79,8 @@ class UpdatedParticles:
                 self.detected,
                 share,
             )
-            in_ranges(weigh, arguments, len(part.start) - 1, self.threads)
+            kernel = kernel_for(weigh, self.numbers.model)
+            in_ranges(kernel, arguments, len(part.start) - 1, self.threads)
             out.append(blocks.unit * share.astype(np.float64))
         return np.concatenate(out)
 

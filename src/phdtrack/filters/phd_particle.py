@@ -19,7 +19,7 @@ from phdtrack.filters.cardinality import TINY, UpdateTerms
 from phdtrack.filters.particle_blocks import Intensity, UpdatedParticles, in_blocks, in_ranges
 from phdtrack.kernels import particles as sweeps
 from phdtrack.kernels.grid import Grid, make_grid
-from phdtrack.kernels.particle_models import SensorNumbers, precision
+from phdtrack.kernels.particle_models import SensorNumbers, kernel_for, precision
 from phdtrack.kernels.resampling import Comb, comb, pick
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, UpdateInfo
@@ -84,7 +84,8 @@ class ParticlePHD(Checked, Filter[Intensity]):
         moved = reused(blocks.state.shape, blocks.state.dtype)
         share = reused((len(blocks),), blocks.state.dtype)
         arguments = (motion, blocks.state, blocks.share, blocks.start, key, moved, share)
-        in_ranges(sweeps.predict, arguments, len(blocks.start) - 1, self.threads)
+        kernel = kernel_for(sweeps.predict, motion)
+        in_ranges(kernel, arguments, len(blocks.start) - 1, self.threads)
         return ParticleBlocks(moved, blocks.start, blocks.unit, share)
 
     def update(
@@ -161,7 +162,8 @@ class ParticlePHD(Checked, Filter[Intensity]):
             blocks.state, blocks.share, np.asarray(detect, blocks.state.dtype), blocks.start
         )
         arguments = (part, numbers.model, numbers.table, gates, region)
-        found = in_ranges(sweeps.likelihoods, arguments, len(blocks.start) - 1, self.threads)
+        kernel = kernel_for(sweeps.likelihoods, numbers.model)
+        found = in_ranges(kernel, arguments, len(blocks.start) - 1, self.threads)
         sums = found[0]
         if len(found) > 1:
             before = np.cumsum([0, *(len(one.which) for one in found)])
@@ -196,6 +198,6 @@ class ParticlePHD(Checked, Filter[Intensity]):
             end = begin + len(part.start) - 1
             own = Comb(*(column[begin:end] for column in teeth))
             arguments = (part, sums, model, table, state.missed, state.detected, own, out)
-            in_ranges(pick, arguments, end - begin, self.threads)
+            in_ranges(kernel_for(pick, model), arguments, end - begin, self.threads)
             begin = end
         return ParticleBlocks(out, start, mass / count)

@@ -115,7 +115,9 @@ def agreement(
     the share of all sums but the last that is remembered.
     """
     sums = before.copy()
-    sums[:, :3] *= kept
+    for part in range(2):
+        for column in range(3):
+            sums[part, column] *= kept
     name, detected, filtered = then
     name_between, detected_between = between
     name_now, detected_now = now

@@ -151,7 +151,8 @@ def fitted(
     motion = np.zeros(4)
     spread = np.abs(scale)
     pull = np.empty(4)
-    motion[:2] = start[:2]
+    motion[0] = start[0]
+    motion[1] = start[1]
     information = np.empty((4, 4))
     covariance = np.empty((4, 4))
     evidence = determinant = 0.0
@@ -166,7 +167,10 @@ def fitted(
             if scale[k] > 0.0:
                 squared = motion[k] * motion[k] + covariance[k, k]
                 spread[k] = (PRIOR_FREEDOM * scale[k] + squared) / (PRIOR_FREEDOM + 1.0)
-        if step > 1 and np.abs(motion - before).max() < CLOSE:
+        change = 0.0
+        for k in range(4):
+            change = max(change, abs(motion[k] - before[k]))
+        if step > 1 and change < CLOSE:
             break
     estimate = np.empty(4)
     error = np.empty(4)
@@ -367,8 +371,9 @@ def _invert(information: F8, spread: F8, out: F8) -> float:
     its inverse into ``out``.
     """
     determinant = 1.0
-    out[:] = information
     for k in range(4):
+        for m in range(4):
+            out[k, m] = information[k, m]
         out[k, k] += 1.0 / spread[k]
     # Gauss and Jordan, in place: pivots of a positive definite matrix need no order.
     for k in range(4):
@@ -425,5 +430,7 @@ def _errors(
         out[0, 2] += weight[p] * (w * w + zoom) / variance[p, 2]
         out[0, 3] += weight[p] * (h * h + zoom) / variance[p, 3]
     for i in range(len(total)):
-        out[1] += 1.0 - (1.0 - detected[i]) / total[i]
+        share = 1.0 - (1.0 - detected[i]) / total[i]
+        for k in range(4):
+            out[1, k] += share
     return out

@@ -90,7 +90,8 @@ def chained(
         if i >= 0:
             ended[i] = False
             long[j] = length[i] + 1
-            now[j] = waiting[i]
+            for k in range(most):
+                now[j, k] = waiting[i, k]
         now[j, (long[j] if long[j] < most else most) - 1] = x[j]
         if long[j] >= most:
             for k in range(most):

@@ -32,6 +32,10 @@ ENTRY = LEAN | {"cache": True, "nogil": True}
 # ends the process.
 INNER = LEAN | {"no_cpython_wrapper": True}
 VECTOR = INNER | {"fastmath": FAST}
+# Always a part of its caller. If a kernel calls a function, the process that compiles both runs the
+# function's own copy, and one that loads the kernel runs the kernel's; the two may round
+# differently.
+INLINED = VECTOR | {"forceinline": True}
 
 # Numbers in the widest vector register; narrower ones divide it. Loops over whole registers have no
 # remainder, which would be done one by one.

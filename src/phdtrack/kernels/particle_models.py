@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import wraps
+from functools import cache, wraps
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from numba.extending import overload
 
@@ -52,6 +53,23 @@ def implements(
         return form
 
     return register
+
+
+def kernel_for(kernel: Callable[..., Any], model: Any) -> Callable[..., Any]:
+    """The kernel that is called with this record: compiled anew in each process if the record's
+    class is not of this package. If it were kept on disk, no program without that class could
+    read what is kept.
+    """
+    if numba.config.DISABLE_JIT or type(model).__module__.startswith("phdtrack."):
+        return kernel
+    return _not_kept(kernel)
+
+
+@cache
+def _not_kept(kernel: Any) -> Callable[..., Any]:
+    """The kernel with the same options, not kept on disk."""
+    compiled: Callable[..., Any] = numba.jit(**kernel.targetoptions)(kernel.py_func)
+    return compiled
 
 
 def _by_record(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -20,6 +20,7 @@ from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import (
     ENTRY,
     FAST,
+    INLINED,
     INNER,
     LANES,
     ROUNDS,
@@ -302,7 +303,7 @@ def add_up(s: Real, n: int) -> tuple[Number, Number]:
     return mass, missed
 
 
-@njit(**VECTOR)
+@njit(**INLINED)
 def evaluate(
     sensor: Number, table: Real, j: int, s: Real, n: int, limit: Number
 ) -> tuple[Number, Number]:
@@ -321,9 +322,9 @@ def evaluate(
     return total, near
 
 
-@njit(**VECTOR)
-def add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Number) -> None:
-    """Add ``by``·p_D·share·g(z_j|x) of n particles to SUM."""
+@njit(**INLINED)
+def _add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Number) -> None:
+    """The body of `add_detected`."""
     z = seen(sensor, table, j)
     far = FAR if s.itemsize < 8 else VERY_FAR
     half = s.dtype.type(MINUS_HALF)
@@ -332,6 +333,14 @@ def add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Numbe
         d2, factor = distance(sensor, z, s, i)
         value = exp_of(half * d2) if d2 <= far else zero
         s[SUM + i] += by * factor * value * s[DETECTED + i]
+
+
+@njit(**VECTOR)
+def add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Number) -> None:
+    """Add ``by``·p_D·share·g(z_j|x) of n particles to SUM."""
+    # LLVM optimises a function alone once, and a function within another twice, which changes the
+    # order of factors. The body is within another everywhere, so that every copy rounds alike.
+    _add_detected(sensor, table, j, s, n, by)
 
 
 @njit(**INNER)

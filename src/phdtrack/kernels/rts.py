@@ -106,7 +106,8 @@ def _update(
     """
     s, low, part, gain, narrow, left, between = room
     for i in range(len(rows)):
-        part[i] = covariance[rows[i]]
+        for j in range(len(mean)):
+            part[i, j] = covariance[rows[i], j]
         for j in range(len(rows)):
             s[i, j] = covariance[rows[i], rows[j]] + noise[i, j]
     _factor(s, low)
@@ -196,6 +197,14 @@ def log_density(step: F8, covariance: F8, noise: F8, rows: I8, first: int, room:
     return float(-0.5 * total)
 
 
+@njit(**INNER)
+def _copy(matrix: F8, out: F8) -> None:
+    """Copy a matrix. Numba's own assignment compiles its error messages, too, for a second."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            out[i, j] = matrix[i, j]
+
+
 @njit(**ENTRY)
 def filtered(
     at: I8,
@@ -237,16 +246,18 @@ def filtered(
         for i in range(d):
             for j in range(d):
                 added[i, j] = noise[n, i, j] * scales[0][path, i] * scales[0][path, j]
-        prediction[:] = added
+        _copy(added, prediction)
         _add_turned(jacobian[n], covariance[before], between, prediction)
-        mean[here] = moved[n]
+        for i in range(d):
+            mean[here, i] = moved[n, i]
         if len(kept[0]):
-            kept[0][here] = moved[n]
-            kept[1][here] = prediction
-            kept[2][here] = jacobian[n]
-            kept[3][here] = added
+            for i in range(d):
+                kept[0][here, i] = moved[n, i]
+            _copy(prediction, kept[1][here])
+            _copy(jacobian[n], kept[2][here])
+            _copy(added, kept[3][here])
         if column < 0:
-            covariance[here] = prediction
+            _copy(prediction, covariance[here])
             continue
         for i in range(r):
             step[i] = state[rows[i], column] - moved[n, rows[i]]
@@ -254,6 +265,7 @@ def filtered(
                 own[i, j] = (
                     spread[column, rows[i], rows[j]] * scales[1][path, i] * scales[1][path, j]
                 )
-        evidence[0, path] += log_density(step, prediction, own, rows, 0, place)
+        # A literal 0 would be a type of its own, and compiled for.
+        evidence[0, path] += log_density(step, prediction, own, rows, np.int64(0), place)
         evidence[1, path] += log_density(step, prediction, own, rows, half, size)
         _update(mean[here], prediction, step, own, rows, room, covariance[here])
