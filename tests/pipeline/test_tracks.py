@@ -82,8 +82,8 @@ def test_boxes_that_look_wrong_are_said_once(caplog: pytest.LogCaptureFixture) -
         assert [
             record.message for record in caplog.records if record.name == "phdtrack.tracker"
         ] == [
-            "frame 1: no coordinate exceeds 0.9: boxes must be in pixels of the image, not in shares"
-            " of its size"
+            "frame 1: no coordinate exceeds 0.9: boxes must be in pixels of the image, not in"
+            " shares of its size"
         ]
         caplog.clear()
         tracker.reset()
