@@ -95,7 +95,7 @@ def test_every_record_of_settings_keeps_its_bounds():
                 settings(**given_, **{name: math.nan})
 
 
-def test_what_is_wrong_with_millions_of_characters_is_said_in_a_few_and_without_secrets():
+def test_long_error_is_truncated_and_masks_secrets():
     """Were each character the beginning of an address or of a parameter, this would take days."""
     for piece in ("a.", "?", "&", "a://", "?key", "x=&"):
         assert len(str(InputError(piece * 1_000_000, where="f"))) < 4000

@@ -333,9 +333,14 @@ def test_targets_are_found_after_a_long_empty_sequence():
     assert rows.frame.tolist() == [3012, 3012]
 
 
+BOXES = st.tuples(st.floats(-50, 650), st.floats(-50, 500), st.floats(1, 300), st.floats(1, 300))
+
+
 @settings(max_examples=15, deadline=None)
-@given(st.lists(st.lists(st.tuples(st.floats(-50, 650), st.floats(-50, 500), st.floats(1, 300), st.floats(1, 300)),
-                         max_size=4), max_size=6), st.sampled_from(["pmb", "particle-phd", "none"]))  # fmt: skip
+@given(
+    st.lists(st.lists(BOXES, max_size=4), max_size=6),
+    st.sampled_from(["pmb", "particle-phd", "none"]),
+)
 def test_any_boxes_are_survived(frames, filter_name: str):
     """Tiny, huge and outside of the picture: rows are finite, identities unique, confidence a
     share.

@@ -410,6 +410,11 @@ class ClassPipelines:
     def restore(self, whole: Any, packed: Any, where: str) -> None:
         """Continue from what was `saved`, packed and read again. Raises `InputError` if it is of
         other settings.
+
+        Parameters
+        ----------
+        whole, packed : the state of all classes, and that of each.
+        where : the place of the state, for error messages.
         """
         from phdtrack.state import unpack
 

@@ -266,7 +266,7 @@ class Tracker:
 
     @property
     def drawn(self) -> bool:
-        """Whether anything was drawn at random so far."""
+        """True if anything was drawn at random so far."""
         return self._pipelines.drawn
 
     @property

@@ -44,7 +44,7 @@ def test_the_parts_make_every_required_entry() -> None:
     assert len({part.name for part in PARTS}) == len(PARTS)
 
 
-def test_a_part_that_fails_leaves_its_reason_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_failed_part_leaves_its_reason_and_others_go_on(tmp_path: Path) -> None:
     def broken(scale: object, say: object) -> Outcome:
         raise RuntimeError("no such luck")
 

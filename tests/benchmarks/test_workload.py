@@ -38,7 +38,7 @@ def test_lives_end_and_others_begin() -> None:
     assert (np.bincount(stream.truth.frame)[1:] == 30).all()
 
 
-def test_the_standard_error_sees_that_neighbours_depend_on_each_other(
+def test_the_standard_error_sees_dependent_neighbours(
     rng: np.random.Generator,
 ) -> None:
     alone = rng.standard_normal(2000)

@@ -36,7 +36,8 @@ from phdtrack.kernels.caller import caller
 Output(quiet={quiet})
 value = caller(1), caller(1.0)
 folder = Path(caller.stats.cache_path)
-found = {{"value": value[0], "loaded": sum(caller.stats.cache_hits.values()), "folder": str(folder)}}
+loaded = sum(caller.stats.cache_hits.values())
+found = {{"value": value[0], "loaded": loaded, "folder": str(folder)}}
 print(json.dumps(found | {{"kept": len(list(folder.glob("*.nbi")))}}))
 """
 

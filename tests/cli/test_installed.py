@@ -51,7 +51,9 @@ tracker, rows = Tracker(frame_size=(640, 480), fps=25), []
 tracker.warm_up()
 final = FinalTracks(tracker)
 for k in range(30):
-    boxes = np.array([[100 + 4 * k, 100, 140 + 4 * k, 200, 0.9, 0], [400 - 3 * k, 250, 440 - 3 * k, 350, 0.8, 0]])
+    one = [100 + 4 * k, 100, 140 + 4 * k, 200, 0.9, 0]
+    other = [400 - 3 * k, 250, 440 - 3 * k, 350, 0.8, 0]
+    boxes = np.array([one, other])
     rows += list(tracker.update(boxes if k % 7 else Detections.empty(), warp=np.eye(3)))
     final.due()
 again = Tracker(frame_size=(640, 480), fps=25)
@@ -67,11 +69,16 @@ import supervision as sv
 from phdtrack import Tracker
 from trackers import ByteTrackTracker, SORTTracker
 
-ours, after, sort = Tracker(frame_size=(640, 360), fps=25), Tracker(frame_size=(640, 360), fps=25), SORTTracker()
+ours = Tracker(frame_size=(640, 360), fps=25)
+after = Tracker(frame_size=(640, 360), fps=25)
+sort = SORTTracker()
 peers, given = [SORTTracker(), ByteTrackTracker()], [set(), set(), set()]
 for k in range(30):
-    boxes = np.array([[100 + 4 * k, 100, 140 + 4 * k, 200], [400 - 3 * k, 120, 445 - 3 * k, 230]], np.float32)
-    who, known = np.roll([0, 1], k), {"confidence": np.array([0.9, 0.8]), "class_id": np.zeros(2, int)}
+    one = [100 + 4 * k, 100, 140 + 4 * k, 200]
+    other = [400 - 3 * k, 120, 445 - 3 * k, 230]
+    boxes = np.array([one, other], np.float32)
+    who = np.roll([0, 1], k)
+    known = {"confidence": np.array([0.9, 0.8]), "class_id": np.zeros(2, int)}
     found = sv.Detections(boxes[who], data={"who": who}, **known)
     rows = ours.update(found)
     seen = rows[~rows.predicted]
@@ -84,8 +91,10 @@ for k in range(30):
     for pairs, out in zip(given, [mine, *theirs]):
         assert np.array_equal(boxes[out.data["who"]], out.xyxy), k
         pairs |= {*zip(out.data["who"].tolist(), out.tracker_id.tolist())}
-    assert len(chained) == 2 and np.array_equal(np.sort(back.xyxy, axis=0), np.sort(rows.xyxy.astype(np.float32), axis=0)), k
-    assert (back.tracker_id >= 0).all() and back.data["detection"].tolist() == rows.detection.tolist(), k
+    sorted_rows = np.sort(rows.xyxy.astype(np.float32), axis=0)
+    assert len(chained) == 2 and np.array_equal(np.sort(back.xyxy, axis=0), sorted_rows), k
+    assert (back.tracker_id >= 0).all(), k
+    assert back.data["detection"].tolist() == rows.detection.tolist(), k
 for pairs in given:
     assert [*map(len, map(set, zip(*pairs)))] == [2, 2] and len(pairs) == 2, given
 print(given)

@@ -149,7 +149,8 @@ def test_boxes_that_no_picture_shows_are_left_out_and_said_once(
 ):
     """A box 1e-6 px wide gave a count of 4.5e21 with gm-phd."""
     odd = [
-        [100, 100, 100 + 1e-6, 200], [5e-324, 0, 1e-323, 10], [-1e300, -1e300, 1e300, 1e300], [1e300, 0, 1.1e300, 50],
+        [100, 100, 100 + 1e-6, 200], [5e-324, 0, 1e-323, 10], [-1e300, -1e300, 1e300, 1e300],
+        [1e300, 0, 1.1e300, 50],
         [50_000, 0, 50_040, 100], [0, 0, 30_000, 20_000], [-1.7e308, 0, 1.7e308, 9],
     ]  # fmt: skip
     plain = tracker_of(kind)

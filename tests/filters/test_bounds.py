@@ -12,13 +12,16 @@ from phdtrack.models.detection_scores import DetectionScores
 from phdtrack.smooth.smoothing import Smoothing
 
 WRONG = {
-    GMPHD: {"weight_threshold": -1.0, "merge_distance": -1.0, "max_components": -1, "gate_probability": 0.0},
+    GMPHD: {"weight_threshold": -1.0, "merge_distance": -1.0, "max_components": -1,
+    "gate_probability": 0.0},
     GMCPHD: {"gate_probability": -1.0},
     ParticlePHD: {"particles_per_target": 0, "max_particles": -1},
     ParticleCPHD: {"particles_per_target": 0},
     PMB: {
-        "static_clutter_prior": 1.5, "mean_occluded_time": 0.0, "max_hypotheses": 0, "mean_visible_time": -1.0,
-        "existence_threshold": 0.0, "noise_freedom": -1.0, "noise_memory": 0.0, "acceleration_factors": (1.0, 0.0),
+        "static_clutter_prior": 1.5, "mean_occluded_time": 0.0, "max_hypotheses": 0,
+        "mean_visible_time": -1.0,
+        "existence_threshold": 0.0, "noise_freedom": -1.0, "noise_memory": 0.0,
+        "acceleration_factors": (1.0, 0.0),
     },
     KMeans: {"min_weight": 0.0, "split_weight": -1.0, "iterations": 0, "merge_iou": 0.0},
     Mixture: {"min_weight": 0.0, "split_weight": -1.0, "iterations": 0, "merge_iou": 0.0},

@@ -197,7 +197,8 @@ def test_every_particle_has_its_share_of_offspring(offset: float, rng):
 def test_bounds_on_the_number_of_particles(rng):
     state = crowd(rng, 5, 100)
     for bounds, wanted in (
-        ({"max_particles": 700}, 700), ({"min_particles": 6000}, 6000), ({"min_particles": 800, "max_particles": 600}, 600),
+        ({"max_particles": 700}, 700), ({"min_particles": 6000}, 6000), ({"min_particles": 800,
+        "max_particles": 600}, 600),
         ({"min_particles": 900}, 5000),
     ):  # fmt: skip
         few = ParticlePHD(1000, **bounds).reduce(unseen(state), rng)

@@ -24,7 +24,8 @@ from phdtrack.label.label_page import label_app
 from phdtrack.web.serving import listen, serve
 address = listen(port={port})
 print(address.url, flush=True)
-serve(label_app(session(Path({labels!r}), {boxes}, {waiting_for!r} and Path({waiting_for!r}))), address)
+waiting = {waiting_for!r} and Path({waiting_for!r})
+serve(label_app(session(Path({labels!r}), {boxes}, waiting)), address)
 """
 
 

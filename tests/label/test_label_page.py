@@ -437,7 +437,10 @@ def test_a_sweep_of_suggestions_is_confirmed_and_undone_at_once(it, store):
 
 def test_what_is_heard_and_how_the_picture_is_left(it):
     press = it.page.keyboard.press
-    spoken = lambda: it.page.inner_text("#spoken")
+
+    def spoken() -> str:
+        return it.page.inner_text("#spoken")
+
     assert spoken() == "1 of 40: frame 1, 13 boxes"
     # What the mouse passes over is shown only.
     it.page.mouse.move(*it.point(200, 100))

@@ -179,12 +179,14 @@ def test_events_are_json_with_what_applies() -> None:
     ]
     assert known[0] == {
         "id": "gate-2026-01-02T03:04:05.000Z-appear-7-0", "time": "2026-01-02T03:04:05.000Z",
-        "source": "gate", "kind": "appear", "frame": 1, "identity": 7, "class": "person", "x": 100.0, "y": 80.0,
+        "source": "gate", "kind": "appear", "frame": 1, "identity": 7, "class": "person",
+        "x": 100.0, "y": 80.0,
     }  # fmt: skip
     assert {e["kind"]: e.get("direction") for e in known[1:]} == {"cross": "in", "enter": None}
     group = Event.of_group(GroupEvent(5, 0.5, "merge", 3, 4), 2).as_dict("gate", "t", {})
     assert group == {
-        "id": "gate-t-group-3-2", "time": "t", "source": "gate", "kind": "group", "frame": 5, "identity": 3,
+        "id": "gate-t-group-3-2", "time": "t", "source": "gate", "kind": "group", "frame": 5,
+        "identity": 3,
         "place": "merge", "other": 4,
     }  # fmt: skip
 

@@ -86,7 +86,8 @@ def test_walkers_are_followed(filter_, extract, camera_file):
     results = [
         tracked(
             Tracker(
-                FRAME, fps=RATE, seed=seed, filter=filter_, extract=extract, motion={"kind": "plane"},
+                FRAME, fps=RATE, seed=seed, filter=filter_, extract=extract,
+                motion={"kind": "plane"},
                 camera={"file": str(camera_file)},
             ),
             seed,

@@ -307,6 +307,13 @@ def heavy_enough(found: Gaussians, sensor: Sensor, lightest: float, split: float
     Clusters start on every detection, so one target beside a false alarm, or detected twice, may
     lie in two halves that are each too light. The nearest, in units of the noise, are joined first,
     while one of the two is too light and both are not above ``split``, too heavy for one.
+
+    Parameters
+    ----------
+    found : the clusters.
+    sensor : the sensor, whose noise is the unit of distances.
+    lightest : the smallest mass of a cluster that counts.
+    split : the mass above which a cluster is too heavy for one target.
     """
     light = np.flatnonzero((found.weight > 0) & (found.weight < lightest))
     at = found.mean[:, light]

@@ -205,6 +205,14 @@ def _copy(matrix: F8, out: F8) -> None:
             out[i, j] = matrix[i, j]
 
 
+@njit(**INNER)
+def _scale_noise(noise: F8, factor: F8, out: F8) -> None:
+    """Scale the noise (d, d) of a motion by a path's factors (d,)."""
+    for i in range(len(factor)):
+        for j in range(len(factor)):
+            out[i, j] = noise[i, j] * factor[i] * factor[j]
+
+
 @njit(**ENTRY)
 def filtered(
     at: I8,
@@ -243,9 +251,7 @@ def filtered(
         here = at[n, 1]
         path = at[n, 2]
         column = at[n, 3]
-        for i in range(d):
-            for j in range(d):
-                added[i, j] = noise[n, i, j] * scales[0][path, i] * scales[0][path, j]
+        _scale_noise(noise[n], scales[0][path], added)
         _copy(added, prediction)
         _add_turned(jacobian[n], covariance[before], between, prediction)
         for i in range(d):

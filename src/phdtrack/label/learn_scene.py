@@ -51,7 +51,7 @@ LIMITS = (
 
 
 class TrainingResult(NamedTuple):
-    """What was learned of births or of false alarms, None for nothing; its ``gain`` over the
+    """The learned births or false alarms, None for nothing; their ``gain`` over the
     uniform density in nats per unseen sample, NaN if it is not known; a ``sentence`` about it; and
     its ``source`` in words.
     """

@@ -187,7 +187,7 @@ class Watch(Checked):
         return WatchState({}, tuple(Count() for _ in self.places))
 
     def carried(self, state: WatchState, before: Watch) -> WatchState:
-        """The state of other settings, for these; places of the same name and points keep counts."""
+        """The state of other settings, for these; equal places keep their counts."""
         at = {(place.name, place.points, place.closed): k for k, place in enumerate(before.places)}
         source = [at.get((place.name, place.points, place.closed), -1) for place in self.places]
         counts = tuple(state.counts[k] if k >= 0 else Count() for k in source)

@@ -190,9 +190,9 @@ class DetectionLog:
 
     def _decided_by(self) -> str:
         """The key of the detections that an earlier run left; empty if there are none."""
-        with suppress(OSError, KeyError, TypeError, StopIteration):
-            with self._complete.open("rb") as log:
-                return str(next(blocks(log))[1]["looked"])
+        errors = (OSError, KeyError, TypeError, StopIteration)
+        with suppress(*errors), self._complete.open("rb") as log:
+            return str(next(blocks(log))[1]["looked"])
         return ""
 
     def _logged(

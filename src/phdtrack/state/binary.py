@@ -149,7 +149,7 @@ def other_format(number: object, where: str | Path) -> InputError:
 
 
 def is_record(kind: type[Any]) -> bool:
-    """Whether this is a dataclass or a named tuple."""
+    """True for a dataclass or a named tuple."""
     return is_dataclass(kind) or (issubclass(kind, tuple) and "_fields" in vars(kind))
 
 

@@ -28,7 +28,7 @@ _NAME = re.compile(
 
 
 class Address(NamedTuple):
-    """Where a page is served.
+    """The address of a page.
 
     Attributes
     ----------
