@@ -113,7 +113,8 @@ def test_a_detector_runs_once(sequence):
     for path in (sequence / "street").iterdir():
         cv2.imwrite(str(other / path.name), cv2.imread(str(path))[::-1])
     done = subprocess.run(
-        [sys.executable, "-m", "phdtrack", "label", "other/street", "--frames", "5", "--no-browser"],
+        [sys.executable, "-m", "phdtrack", "label", "other/street", "--frames", "5",
+         "--no-browser"],
         cwd=sequence, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 2
