@@ -209,24 +209,36 @@ def test_the_digest_depends_on_types_and_values():
 # What is remembered
 
 
-def test_memory_is_bounded_unless_everything_is_asked_for(caplog, monkeypatch):
-    """A frame a second, and one minute instead of ten."""
-    assert tracker_of().stages.associator.history == 600
-    monkeypatch.setattr("phdtrack.tracker.HISTORY", 60.0)
-    given = {"fps": 1.0, "filter": {"kind": "none"}, "time": {"longest_interval": 0.0}}
-    bounded, whole = (tracker_of(**given, **more) for more in ({}, {"associate": {"history": 0}}))
+# A frame a second.
+SLOW = {"fps": 1.0, "filter": {"kind": "none"}, "time": {"longest_interval": 0.0}}
+
+
+def seldom(k: int) -> np.ndarray:
+    """Somebody comes every 20 seconds."""
+    return boxes(k % 20) if k % 20 < 16 else np.zeros((0, 4))
+
+
+def test_memory_is_bounded_by_the_history():
+    bounded = tracker_of(**SLOW, associate={"history": 60})
+    whole = tracker_of(**SLOW, associate={"history": 0})
     sizes = []
     for k in range(400):
-        # Somebody comes every 20 seconds.
-        found = boxes(k % 20) if k % 20 < 16 else np.zeros((0, 4))
-        bounded.update(found)
+        bounded.update(seldom(k))
         if k < 100:
-            whole.update(found)
+            whole.update(seldom(k))
         if k in (199, 299, 399):
             sizes.append(len(to_bytes(bounded.state_dict())))
-    assert max(sizes) < 1.5 * min(sizes), "but for the 32 frames that are forgotten at once"
+    assert max(sizes) < 1.5 * min(sizes), "except for the 32 frames that are forgotten at once"
     assert 280 < bounded.tracks().frame.min() <= 341
     assert whole.tracks().frame.min() < 10
+
+
+def test_what_is_forgotten_by_default_is_reported_once(caplog):
+    tracker = tracker_of(**SLOW)
+    assert tracker.stages.associator.history == 600
+    for k in range(700):
+        tracker.update(seldom(k))
+    assert tracker.tracks().frame.min() > 1
     said = [record.getMessage() for record in caplog.records if "forgotten" in record.getMessage()]
     assert len(said) == 1
     assert "associate={'history': 0}" in said[0]

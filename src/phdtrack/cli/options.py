@@ -91,7 +91,9 @@ Sets = Annotated[
     list[str] | None,
     option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set"),
 ]
-_PRESETS = "Settings to start from: default, background, mot15, m07, m09, m09-mht, e13, …"
+_PRESETS = (
+    "Settings to start from: default, background, mot15, m07, m07-extended, m09, m09-mht, e13, …"
+)
 Preset = Annotated[str, option("NAME", _PRESETS, autocompletion=listed(_PRESETS))]
 Frames = Annotated[
     str,
