@@ -109,7 +109,7 @@ def test_forty_frames_by_keyboard(it, store):
     command = f"phdtrack learn drawn.mp4 --labels {store.path} --births hand"
     assert (
         it.page.inner_text("#next-step")
-        == f"All 40 frames are done. Now run, in a terminal: {command}"
+        == f"All 40 frames are done. Now run in a terminal: {command}"
     )
     assert it.page.inner_text("#kept") == str(store.path)
     it.page.keyboard.press("z")
@@ -550,7 +550,7 @@ def test_no_click_of_two_tabs_is_lost_when_the_server_is_killed(context, tmp_pat
             other.click(350, 100)
             one.click(500, 100)
             other.click(60, 250)
-            other.page.wait_for_selector('#saving:text-matches("4 to be kept")')
+            other.page.wait_for_selector('#saving:text-matches("4 to be saved")')
         # The other one is closed before the server is back. What an earlier version left is taken,
         # too.
         left = [

@@ -302,7 +302,7 @@ def test_settings_are_those_of_track_with_bounded_history() -> None:
     make = CameraSetup(TrackingRequest(), (), "change", 0, None)
     made = make(SequenceInfo(64, 48, 10.0))
     assert make.settings().build("associate").history > 0
-    assert make.settings().preset == "mot15"
+    assert make.settings().preset == "background"
     assert made.groups is None
     assert {"filter.kind", "detector.min_area"} <= {*made.fixed, "detector.min_area"}
     assert CameraSetup(TrackingRequest(sets=["motion.kind=plane"]), (), "person", 0, None)(
