@@ -96,11 +96,11 @@ class Sensor(Protocol):
         linear sensor rows of x.
         """
 
-    def innovation(self, z: F8, seen: F8) -> F8:
-        """(r, …) differences of measurements from what was expected, z − ``seen``, elementwise;
+    def innovation(self, z: F8, predicted: F8) -> F8:
+        """(r, …) differences of measurements from predicted ones, z − ``predicted``, elementwise;
         angles the short way round.
 
-        Of the rows of ``z`` the first r count: it may be something expected, too.
+        Of the rows of ``z`` the first r count: it may be a predicted measurement, too.
         """
 
     def covariance(self, z: F8, x: F8) -> F8:

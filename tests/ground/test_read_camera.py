@@ -181,7 +181,7 @@ HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
         (
             tsai_with('kappa1="5e-3"', 'kappa1="five"'),
             ", line 4",
-            "number for kappa1 of <Intrinsic>, came 'five'",
+            "number for kappa1 of <Intrinsic>, got 'five'",
         ),
         (tsai_with('rx="2.04"', 'rx="nan"'), ", line 5", "finite number for rx"),
         (tsai_with("  <Extrinsic", "  <Outside"), "", "an element <Extrinsic>"),

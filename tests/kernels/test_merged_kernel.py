@@ -108,10 +108,12 @@ def test_explanation_is_that_of_the_definition(kind: str) -> None:
     merged = Counter()
     ties = 0
     for rule, model, given, detections, _ in frames(kind):
-        targets, _ = rule.explain(given, Detections.empty(observed=False), model, 1.0)
+        unobserved = Detections.empty(observed=False)
+        targets, _ = rule.explain(given, unobserved, model.sensor.measure(unobserved), model, 1.0)
         boxes = model.sensor.boxes(targets.state)
         shown = twin.members(rule, model, targets, detections)
-        after, found = rule.explain(given, detections, model, 1.0)
+        z = model.sensor.measure(detections)
+        after, found = rule.explain(given, detections, z, model, 1.0)
         belongs = [
             found.target[(found.source == b) & (found.target >= 0)] for b in range(len(shown))
         ]
@@ -140,7 +142,8 @@ def test_continuation_is_that_of_the_definition(kind: str) -> None:
     nearest = 0
     kept = 0
     for rule, model, targets, detections, rng in frames(kind):
-        before, found = rule.explain(targets, detections, model, 1.0)
+        z = model.sensor.measure(detections)
+        before, found = rule.explain(targets, detections, z, model, 1.0)
         usable = np.flatnonzero(np.isfinite(model.sensor.measure(found.detections)).all(axis=0))
         state, covariance = model.sensor.states(
             np.ascontiguousarray(to_cxcywh(found.detections.xyxy[usable]))
