@@ -225,10 +225,10 @@ class BearingSensor(PositionSensor):
         north = x[1] - self.origin[1]
         return np.stack([np.arctan2(east, north), np.hypot(east, north)])
 
-    def innovation(self, z: F8, seen: F8) -> F8:
+    def innovation(self, z: F8, predicted: F8) -> F8:
         """Differences of bearings, from −π to π, and of ranges."""
-        turn = z[0] - seen[0]
-        return np.stack([turn - WHOLE_TURN * np.rint(turn / WHOLE_TURN), z[1] - seen[1]])
+        turn = z[0] - predicted[0]
+        return np.stack([turn - WHOLE_TURN * np.rint(turn / WHOLE_TURN), z[1] - predicted[1]])
 
     def _noise(self, z: F8) -> tuple[F8, F8, F8]:
         """The variances of bearing and range."""

@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-SETTINGS = ROOT / "src" / "phdtrack" / "config"
+CONFIG = ROOT / "src" / "phdtrack" / "config"
+SETTINGS = tuple(sorted(one.relative_to(ROOT).as_posix() for one in CONFIG.rglob("*.toml")))
 # Not part of what a page shows.
 APART = ("experiments/made.py", "experiments/__main__.py")
 # Pages whose words and figures are put together by hand, from what a command prints.
@@ -58,7 +59,7 @@ def fingerprint(path: Path) -> str:
 def at_start() -> Mapping[str, str]:
     """Fingerprints of all modules and settings, by path, when this was first asked."""
     modules = [*(ROOT / "src" / "phdtrack").rglob("*.py"), *(ROOT / "experiments").glob("*.py")]
-    paths = [*modules, *SETTINGS.rglob("*.toml")]
+    paths = [*modules, *(ROOT / one for one in SETTINGS)]
     return {path.relative_to(ROOT).as_posix(): fingerprint(path) for path in sorted(paths)}
 
 

@@ -120,7 +120,8 @@ def forget(monkeypatch: pytest.MonkeyPatch, absent: Iterable[str]) -> None:
     """Nothing can import these packages, nor what imports them when it is loaded."""
     for name in {*absent, *(name for name in sys.modules if name.partition(".")[0] in absent)}:
         monkeypatch.setitem(sys.modules, name, None)
-    for name in ("phdtrack.web.serving", "phdtrack.live.live_page", "phdtrack.label.label_page"):
+    pages = ("phdtrack.live.live_page", "phdtrack.label.label_page")
+    for name in (*pages, *(name for name in sys.modules if name.startswith("phdtrack.web"))):
         monkeypatch.delitem(sys.modules, name, raising=False)
 
 
