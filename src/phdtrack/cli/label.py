@@ -9,7 +9,7 @@ import webbrowser
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,7 +21,6 @@ from phdtrack.files import write_text
 from phdtrack.formats.annotations import AnnotationFile, read_annotated
 from phdtrack.label import LabelStore
 from phdtrack.label.exchange import Exchange, frames_of
-from phdtrack.label.label_page import Session, label_app
 from phdtrack.label.samples import clip, shuffled
 from phdtrack.label.sequences import (
     hidden_picture,
@@ -33,7 +32,9 @@ from phdtrack.label.sequences import (
 from phdtrack.label.suggestions import Background
 from phdtrack.run.choices import chosen_settings
 from phdtrack.run.requests import SourceRequest, TrackingRequest
-from phdtrack.web.serving import listen, serve
+
+if TYPE_CHECKING:
+    from phdtrack.label.label_page import Session
 
 
 def label(
@@ -68,6 +69,9 @@ def label(
 
     Meanwhile a tracker looks for detections that may be false and suggests them. Ctrl-C ends.
     """
+    from phdtrack.label.label_page import Session, label_app
+    from phdtrack.web.serving import listen, serve
+
     output = Output()
     settings = chosen_settings(
         TrackingRequest(config=config, sets=sets), detector=source.detector_name
