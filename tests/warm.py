@@ -93,9 +93,10 @@ def associate() -> None:
     for associator in shipped.ASSOCIATORS.values():
         state = shipped.frozen(associator.start())
         for number in range(1, 9):
-            z = shipped.fixed(model.sensor.measure(shipped.detections(rng, 3)))
+            seen = shipped.detections(rng, 3)
+            z = shipped.fixed(model.sensor.measure(seen))
             found = replace(Raw().extract(nothing, z, model), tag=np.arange(3))
-            state, _ = associator.extend(state, found, z, number, float(number), model)
+            state, _ = associator.extend(state, found, z, seen, number, float(number), model)
         associator.finish(state, model)
 
 
