@@ -85,9 +85,7 @@ def label(
         cure = "Make one: phdtrack label"
         raise InputError("there is no such file of labels", where=file, cure=cure)
     drawn = _drawn(read, sequence.info.frames, seed, 0 if out and not read else frames)
-    if max(drawn, default=0) > sequence.info.frames:
-        problem = f"expected frames up to {sequence.info.frames}, got {max(drawn)}"
-        raise InputError(problem, where=str(imported), cure="Is it of another video?")
+    _check_frames(drawn, sequence.info.frames, imported)
     store = LabelStore.open(file, sequence.name, sequence.digest, drawn)
     if read or out:
         exchange = Exchange(store, sequence.table, sequence.info)
@@ -134,6 +132,13 @@ def _drawn(read: AnnotationFile | None, last: int, seed: int, count: int) -> lis
     """The frames of a file of annotations, or ``count`` frames drawn at random."""
     named = frames_of(read) if read else []
     return named or shuffled(last, seed)[:count]
+
+
+def _check_frames(drawn: list[int], last: int, imported: Path | None) -> None:
+    """Raise `InputError` if an imported frame lies behind the last one."""
+    if max(drawn, default=0) > last:
+        problem = f"expected frames up to {last}, got {max(drawn)}"
+        raise InputError(problem, where=str(imported), cure="Is it of another video?")
 
 
 def _import(exchange: Exchange, read: AnnotationFile, labeller: str, output: Output) -> None:

@@ -100,7 +100,8 @@ def write_report(
     if progress.reused:
         summary.insert(0, _REUSED)
     summary += [sentence for report in reports for sentence in report.sentences]
-    summary.append(f"Settings: preset {run.options.configuration['preset']}.")
+    if "preset" in run.options.configuration:
+        summary.append(f"Settings: preset {run.options.configuration['preset']}.")
     unwritten = [str(error) for error in progress.unwritten if error is not progress.ended]
     return document, tuple(summary), (*about.warnings, *unwritten)
 
