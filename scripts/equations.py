@@ -2,7 +2,8 @@
 
 A docstring that implements an equation carries its tag: the paper, then the place in it, in square
 brackets, as in ``[M07 §3]``, ``[M09 (22)]``, ``[D14 Alg. 2]``. The paper alone stands for all of
-it; ``[M07 §3; S05]`` is two tags. The script reads the docstrings under src/phdtrack without
+it; ``[M07 §3; S05]`` is two tags. ``[PMB (3)]`` is equation 3 of docs/methods.md, Poisson
+multi-Bernoulli. The script reads the docstrings under src/phdtrack without
 importing anything and lists the tags by paper. ``--check`` writes nothing and fails if the page is
 out of date.
 """
@@ -74,6 +75,7 @@ PAPERS = {
         "Williams: Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA, and"
         " association-based MeMBer. IEEE Trans. AES, 2015"
     ),
+    "PMB": "The default filter: docs/methods.md, Poisson multi-Bernoulli, whose numbers these are",
     "G18": (
         "García-Fernández, Williams, Granström, Svensson: Poisson multi-Bernoulli mixture filter:"
         " direct derivation and implementation. IEEE Trans. AES, 2018"
@@ -147,9 +149,10 @@ PAPERS = {
     ),
 }
 Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
-BRACKET = re.compile(r"\[([A-Z]\d{2}(?![\w])[^\[\]]*)\](?!\()")
-BETWEEN = re.compile(r"[;,]\s*(?=[A-Z]\d{2}\b)")
-PART = re.compile(r"([A-Z]\d{2})(?: (.+))?")
+PAPER = r"(?:[A-Z]{1,2}\d{2}|PMB)"
+BRACKET = re.compile(rf"\[({PAPER}(?![\w])[^\[\]]*)\](?!\()")
+BETWEEN = re.compile(rf"[;,]\s*(?={PAPER}\b)")
+PART = re.compile(rf"({PAPER})(?: (.+))?")
 
 HEAD = """# Equations and where they are
 

@@ -120,7 +120,7 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled)
     time [W15].
 
     ``targets`` is a list of (r, [Hypothesis, …]); ``z`` a list of measurements with expected value
-    ``h`` @ mean and noise ``noise``; ``clutter`` κ of each; ``new`` a list of (γ̂, mean,
+    ``h`` @ mean and noise ``noise``; ``clutter`` κ of each; ``new`` a list of (λ̂, mean,
     covariance) of each; ``s`` the settings of `filters.PMB`; ``scores`` the odds and the log odds
     of each, against false alarms of one frame and against lasting ones. Gives the targets that are
     left as (index before, −1 for new ones, r, [Hypothesis, …]), and of each measurement the

@@ -147,8 +147,8 @@ class Scores:
     gain : (P,) log r p_D q(z) − log(1 − r p_D): the leaf's detection by the measurement against its
         being missed.
     missed : (L,) log(1 − r p_D).
-    unassigned : (N,) log(κ + γ̂): a false alarm or a new target.
-    p_new : (N,) γ̂/(κ + γ̂).
+    unassigned : (N,) log(κ + λ̂): a false alarm or a new target.
+    p_new : (N,) λ̂/(κ + λ̂).
     """
 
     leaf: I8

@@ -1,10 +1,11 @@
 """The Poisson multi-Bernoulli filter with hypotheses about each target: labels and existence inside
 the recursion [W15].
 
-Equations: docs/methods.md, Poisson multi-Bernoulli. The result is the product of Bernoulli
-densities that is nearest to the posterior [W15], but the hypotheses of a target are kept with their
-pasts instead of being replaced by their mean. So targets that cannot be separated for some frames
-are not blurred, and the past is read from the hypothesis that wins.
+Equations: docs/methods.md, Poisson multi-Bernoulli. Docstrings have their numbers as tags, PMB and
+the number; most are in `kernels.pmb`. The result is the product of Bernoulli densities that is
+nearest to the posterior [W15], but the hypotheses of a target are kept with their pasts instead of
+being replaced by their mean. So targets that cannot be separated for some frames are not blurred,
+and the past is read from the hypothesis that wins.
 
 Two things that a constant p_D does not say about detectors are hidden states of a hypothesis.
 
@@ -245,7 +246,7 @@ class PMB(Checked, Filter[Bernoullis]):
         self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator
     ) -> Bernoullis:
         """A further layer: every hypothesis through f, with p_S of its probability; static clutter
-        stays where it is.
+        stays where it is [PMB (1)].
         """
         now = state.present
         factors = self.acceleration_factors
@@ -303,11 +304,11 @@ class PMB(Checked, Filter[Bernoullis]):
         seen = measurements(model.sensor, z, clutter)
         self._check_noise(len(seen.period))
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
-        # Predicted measurements of known targets, and first detections of new ones: γ̂(z)
+        # Predicted measurements of known targets; first detections λ̂(z) of new ones: PMB (5)
         ahead = predicted_measurements(model.sensor, now.mean, now.covariance, self.transform)
         births = with_births(state.undetected, model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
-        # Gate, associate by belief propagation, update every Bernoulli target
+        # Gate, associate by belief propagation, update each target: PMB (3), (4), (7) to (10)
         settings = self._settings(gate, dt, scores.prior < CERTAIN)
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some
         # kernels.
@@ -321,7 +322,7 @@ class PMB(Checked, Filter[Bernoullis]):
         next_label = state.next_label
         if len(layer.targets):
             next_label = max(next_label, int(layer.targets[-1]["label"]) + 1)
-        # Recycle deleted targets into the undetected ones
+        # Recycle deleted targets into the undetected ones: PMB (6)
         undetected = state.undetected
         if len(births.weight):
             undetected = self._undetected(births, model, now, weak)

@@ -30,7 +30,8 @@ MOST = 200
 def survived(
     unseen: GaussianMixture, model: Model, dt: float, transform: Transform
 ) -> GaussianMixture:
-    """∫ p_S f λ, the intensity ``unseen`` after an interval, without the targets born in it.
+    """∫ p_S f λ, the intensity ``unseen`` after an interval, without the targets born in it: the
+    first part of λ⁺ [PMB (2)].
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def survived(
 
 
 def with_births(unseen: GaussianMixture, model: Model, z: F8, dt: float) -> Births:
-    """λ⁺, the intensity of targets that may be detected for the first time.
+    """λ⁺, the intensity of targets that may be detected for the first time [PMB (2)].
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def with_births(unseen: GaussianMixture, model: Model, z: F8, dt: float) -> Birt
 
 
 def still_undetected(births: Births, model: Model) -> GaussianMixture:
-    """λ: what of λ⁺ has not been detected in this frame."""
+    """λ: the part of λ⁺ that has not been detected in this frame [PMB (6)]."""
     if len(births.weight) == 0:
         return GaussianMixture.empty(births.mean.shape[1])
     mean = np.ascontiguousarray(births.mean.T)

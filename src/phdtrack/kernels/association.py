@@ -16,8 +16,8 @@ a node bound what a part can gain before it is solved.
 (target, measurement) against the target being missed and the measurement being no earlier target's,
 the messages are
 
-    μ_e = ψ_e / (1 + Σ_{other pairs of the target} ψ ν)      ν_e = 1 / (1 + Σ_{other pairs of the
-    measurement} μ)
+    μ_e = ψ_e / (1 + Σ_{other pairs of the target} ψ ν)
+    ν_e = 1 / (1 + Σ_{other pairs of the measurement} μ)
 
 They converge, whatever ψ [W14], and are exact where pairs form a tree; a round costs as many steps
 as there are pairs whose messages still change.
@@ -573,7 +573,7 @@ def _start(edges: Records, active: I8, parent: I8, targets: int) -> None:
 
 @njit(**INNER)
 def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
-    """Marginal probabilities by loopy belief propagation [W14; W15].
+    """Marginal probabilities by loopy belief propagation [W14; W15; PMB (9)].
 
     ``edges`` (E,) of `EDGE`, no pair twice, with odds ψ ≥ 0, target and measurement; μ becomes the
     probability of each pair, the rest is scratch. Returns the probabilities (T,) that each target
@@ -610,7 +610,7 @@ def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
 def _send_to_measurements(
     edges: Records, active: I8, count: int, by_target: F8, by_measurement: F8
 ) -> None:
-    """Compute μ of the active edges, and Σ μ of their measurements."""
+    """Compute μ of the active edges [PMB (8)], and Σ μ of their measurements."""
     for k in range(count):
         edge = edges[active[k]]
         by_target[edge.target] = 0.0
@@ -632,7 +632,9 @@ def _send_to_measurements(
 def _send_to_targets(
     edges: Records, active: I8, count: int, by_measurement: F8, change: F8
 ) -> float:
-    """Compute ν of the active edges; the largest change, and that of each island in ``change``."""
+    """Compute ν of the active edges [PMB (8)]; the largest change, and that of each island in
+    ``change``.
+    """
     largest = 0.0
     for k in range(count):
         change[edges[active[k]].island] = 0.0

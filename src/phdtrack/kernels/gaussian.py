@@ -531,7 +531,8 @@ def _add_covariance(share: float, states: F8, covs: F8, k: int, mean: F8, cov: F
 def first_states(
     births: Births, p_detect: F8, e: Expected, m: Measurements, gate: float
 ) -> NewTargets:
-    """γ̂(z) = ∫ p_D g(z|x) γ(x) dx, and mean and covariance of p_D g(z|x) γ(x) given z.
+    """λ̂(z) = ∫ p_D g(z|x) λ⁺(x) dx, and mean and covariance of p_D g(z|x) λ⁺(x) given z
+    [PMB (5)]. λ⁺ are the ``births``.
 
     ``p_detect`` (N,): p_D of targets around each measurement. ``e``: predicted measurements of the
     fixed Gaussians of births.

@@ -2,18 +2,19 @@
 
 A target t exists with probability r, as itself or as a source of static clutter, and has hypotheses
 i of weight w_i, which are given its existence. With p_i the probability that hypothesis i is
-detected, q_i(z) = N(z; ẑ_i, S_i), γ̂(z) the density of first detections and κ(z) that of false
+detected, q_i(z) = N(z; ẑ_i, S_i), λ̂(z) the density of first detections and κ(z) that of false
 alarms,
 
     missed             1 − r Σ w_i p_i;  then it exists with probability
                        r Σ w_i (1 − p_i) / (1 − r Σ w_i p_i)
     detected           r w_i p_i q_i(z), by hypothesis i
-    no earlier target  κ(z) + γ̂(z):  a new target with r = γ̂/(κ + γ̂)
+    no earlier target  κ(z) + λ̂(z):  a new target with r = λ̂/(κ + λ̂)
 
-The odds of a pair (target, measurement) are ψ = Σ_i r w_i p_i q_i(z) / (missed · (κ + γ̂)). Belief
+The odds of a pair (target, measurement) are ψ = Σ_i r w_i p_i q_i(z) / (missed · (κ + λ̂)). Belief
 propagation (`kernels.association`) turns them into the probability of each pair over all one-to-one
 assignments. A hypothesis after the update is a hypothesis before it with a measurement, or with
-none; r is the sum of the probabilities of all of a target.
+none; r is the sum of the probabilities of all of a target. Docstrings have the numbers of the
+equations in docs/methods.md, Poisson multi-Bernoulli, as tags: PMB and the number.
 
 Arrays count targets (T), hypotheses (C), measurements (N) or pairs of a hypothesis and a
 measurement (P).
@@ -127,7 +128,7 @@ def predicted_layer(
     genuine: tuple[float, float],
 ) -> Layer:
     """The targets after an interval, ``p`` their hypotheses after the motion; static clutter stays
-    where it is.
+    where it is [PMB (1)].
 
     ``noise`` (d, C): deviations by which the sensor resolves them, `Sensor.noise`. ``occlude``,
     ``reappear``: probabilities that a visible target is occluded after the interval, and an
@@ -303,10 +304,10 @@ def _associate(
     measured: F8,
 ) -> tuple[float, int, int]:
     """Write the probability of each pair as its weight, and those that a target exists and was
-    missed into ``exists`` (T,).
+    missed into ``exists`` (T,); compute the new targets [PMB (7)].
 
     ``before`` are the targets, their hypotheses and the p_D of these; ``clutter`` and ``density``
-    (N,) are κ and γ̂. Writes into ``measured`` (3, N) C(z), the probability of a false alarm, and
+    (N,) are κ and λ̂. Writes into ``measured`` (3, N) C(z), the probability of a false alarm, and
     the probability that a new target exists. Returns the mass of new targets, how many measurements
     have κ + C = 0, and how many begin a target.
     """
@@ -350,10 +351,10 @@ def _associate(
 def _weigh(
     before: tuple[Records, Records, F8], pairs: Records, missed: F8, odds: F8, evidence: F8
 ) -> F8:
-    """(N,) probability that a measurement is no target's; the others are written as by
-    `_associate`.
+    """(N,) probability that a measurement is no target's, by the odds ψ of the pairs [PMB (4)]; the
+    others are written as by `_associate`.
 
-    ``odds`` (N,) are p(s|target)/p(s|false alarm). ``evidence`` is κ + γ̂, to which Σ r w p q
+    ``odds`` (N,) are p(s|target)/p(s|false alarm). ``evidence`` is κ + λ̂, to which Σ r w p q
     p(s)/p(s|false alarm) is added; a lasting false alarm has the scores of false alarms.
     """
     targets, hypotheses, p_detect = before
@@ -401,7 +402,9 @@ def _weigh(
 
 @njit(**INNER)
 def _missed(target: Any, hypotheses: Records, p_detect: F8) -> tuple[float, float]:
-    """The probability that a target is not detected, 1 − r Σ w p, and that it then exists."""
+    """The probability that a target is not detected, 1 − r Σ w p, and that it then exists
+    [PMB (3)].
+    """
     detected = 0.0
     for c in range(target.begin, target.end):
         detected += hypotheses[c].weight * p_detect[c]
@@ -423,8 +426,8 @@ def _choose(
     options: Records,
     kept: I8,
 ) -> int:
-    """Write the options of each target that are above the thresholds, the heaviest first; how many
-    there are.
+    """Write the options of each target that are above the thresholds, the heaviest first, and the
+    probability that it exists [PMB (10)]; how many options there are.
 
     An option is a `PAIR` of the hypothesis before and its measurement, −1 for none; its weight is
     not normalised. ``kept`` (T,) becomes how many options each target has, and ``exists`` (T,), as

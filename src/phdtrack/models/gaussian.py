@@ -191,7 +191,7 @@ def _product(a: F8, b: F8) -> F8:
 def new_targets(
     model: Model, births: Births, m: Measurements, gate: float, transform: Transform
 ) -> NewTargets:
-    """Targets whose first detections are the measurements.
+    """Targets whose first detections are the measurements, with the density λ̂ of these [PMB (5)].
 
     Parameters
     ----------
