@@ -22,15 +22,15 @@ from phdtrack.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """An experiment, the module of its name: the question that it answers, in one line, and whether
-    it needs the real sequences.
+    """One experiment: the question that it answers, in one line, and whether it needs the real
+    sequences. Its name is its module's.
     """
 
     about: str
     data: bool = True
 
 
-# The short ones first.
+# Short ones first.
 EXPERIMENTS = {
     "count": Experiment("accuracy of the count, with known parameters", data=False),
     "vo": Experiment(
@@ -110,14 +110,12 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the experiments that are asked for; the exit status: 0, or 2 for an input that is not as
-    it should be.
-    """
+    """Run the requested experiments; return the exit status, 2 for invalid input."""
     command = parser()
-    given = command.parse_args(arguments)
-    if given.runs < 0 or given.jobs < 0:
+    parsed = command.parse_args(arguments)
+    if parsed.runs < 0 or parsed.jobs < 0:
         command.error("--runs and --jobs are numbers from 1 on; 0 stands for the default")
-    if given.list or not (given.names or given.check):
+    if parsed.list or not (parsed.names or parsed.check):
         print(
             "\n".join(
                 f"{name:<10} {one.about}{'' if one.data else ' (no real data)'}"
@@ -125,20 +123,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         )
         return 0
-    if given.check:
-        return made.check(given.out or made.ROOT / "docs" / "results")
+    if parsed.check:
+        return made.check(parsed.out or made.ROOT / "docs" / "results")
     try:
-        run([*EXPERIMENTS] if given.names == ["all"] else given.names, given)
+        run([*EXPERIMENTS] if parsed.names == ["all"] else parsed.names, parsed)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
 
 
-def run(names: Sequence[str], given: argparse.Namespace) -> None:
-    """Run the experiments of these names; those that need missing data are found before anything
-    runs.
-    """
+def run(names: Sequence[str], parsed: argparse.Namespace) -> None:
+    """Run the experiments with these names. Missing data is an error before the first one runs."""
     for name in names:
         if name not in EXPERIMENTS:
             near = difflib.get_close_matches(name, EXPERIMENTS, n=1)
@@ -154,22 +150,22 @@ def run(names: Sequence[str], given: argparse.Namespace) -> None:
             )
     for name in names:
         print(f"{name}: {EXPERIMENTS[name].about}", file=sys.stderr, flush=True)
-    if given.quick:
+    if parsed.quick:
         print("the short form: its figures are no results", file=sys.stderr, flush=True)
-    # Loading the package takes seconds: what will be done is said before.
+    # Loading the package takes seconds, so print the plan first.
     from experiments.common import Options, need_data
 
     if any(EXPERIMENTS[name].data for name in names):
         need_data()
     made.at_start()
     if len(names) > 1:
-        # In processes of their own: what one loads is not taken for the other's.
+        # In separate processes, so that modules loaded by one are not recorded for another.
         _one_by_one(names)
         return
     for name in names:
         began = time.perf_counter()
         importlib.import_module(f"experiments.{name}").main(
-            Options(given.runs, given.quick, given.out, given.jobs, name)
+            Options(parsed.runs, parsed.quick, parsed.out, parsed.jobs, name)
         )
         print(f"{name}: done in {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
 

@@ -3,9 +3,9 @@ and bytes on disk.
 
     python -m experiments.batch_costs
 
-A rendered street of 640x360 is tracked by the change detector, and once more from its detections,
-without annotated videos. CPU seconds count all threads and processes; other programs on the machine
-disturb them less than they do the time.
+A rendered street of 640x360 is tracked with the change detector, and again from its detections,
+without annotated videos. CPU seconds count all threads and processes; other programs disturb them
+less than the elapsed time.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ DONE = 1000
 
 
 class Used(NamedTuple):
-    """CPU seconds of a command with all its processes, the memory of the largest of them, MiB, and
-    seconds.
+    """Resources of a command: CPU seconds of all its processes, memory of the largest one in MiB,
+    and elapsed seconds.
     """
 
     cpu: float
@@ -43,16 +43,16 @@ class Used(NamedTuple):
 
 
 def run(*words: object) -> Used:
-    """Run ``phdtrack`` to its end."""
+    """Run ``phdtrack`` and wait for it."""
     command = [sys.executable, "-m", "phdtrack", *map(str, words)]
     began = time.monotonic()
     child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert child.stderr is not None
-    said = child.stderr.read().decode()
+    errors = child.stderr.read().decode()
     _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
-        raise SystemExit(f"{' '.join(command)}: {said}")
+        raise SystemExit(f"{' '.join(command)}: {errors}")
     return Used(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, time.monotonic() - began)
 
 
@@ -71,7 +71,7 @@ def copies(source: Path, folder: Path, count: int) -> list[Path]:
 
 
 def costs(source: Path, long: Path, frames: int, folder: Path) -> list[tuple[str, str]]:
-    """Names and values of what is measured."""
+    """Names and values of the measured costs."""
     folder.mkdir()
     many = copies(source, folder / "in", MANY)
     batch = ["batch", "--jobs", 1, "--out"]
@@ -96,8 +96,8 @@ def costs(source: Path, long: Path, frames: int, folder: Path) -> list[tuple[str
 
 
 def per_core(source: Path, folder: Path) -> str:
-    """Work per core of two processes on two cores over that of one, by CPU and by the clock, starts
-    included.
+    """Throughput per core of two processes on two cores relative to one process, by CPU time and by
+    the clock, starts included.
     """
     many = copies(source, folder, 6)
     one, two = (
@@ -108,7 +108,7 @@ def per_core(source: Path, folder: Path) -> str:
 
 
 def done(source: Path, out: Path, folder: Path) -> float:
-    """CPU milliseconds that a video takes of which everything is there already."""
+    """CPU milliseconds for a video whose results are all complete already."""
     many = copies(source, folder, DONE)
     place = folder / "out"
     mark = json.loads(next(out.glob(f"runs/*/{DOCUMENT}")).read_bytes())
@@ -125,7 +125,7 @@ def done(source: Path, out: Path, folder: Path) -> float:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print the costs."""
     options = argparse.ArgumentParser(prog="python -m experiments.batch_costs", description=__doc__)
     options.add_argument("--frames", type=int, default=1050, help="of the long video")
     frames = options.parse_args().frames
@@ -136,8 +136,8 @@ def main() -> None:
         short = sources(folder / "short", SHORT)
         long = sources(folder / "long", frames)
         for kind, one, other in zip(("video", "detections"), short, long, strict=True):
-            for what, value in costs(one, other, frames, folder / kind):
-                print(f"{kind:12} {what:52} {value:>8}", flush=True)
+            for quantity, value in costs(one, other, frames, folder / kind):
+                print(f"{kind:12} {quantity:52} {value:>8}", flush=True)
         (folder / "middle").mkdir()
         for kind, one in zip(
             ("video", "detections"), sources(folder / "middle", MIDDLE), strict=True

@@ -1,4 +1,4 @@
-"""Turning targets that a radar or sonar sees by bearing and range [V06 §IV-C].
+"""Turning targets, measured by bearing and range as by radar or sonar [V06 §IV-C].
 
 **Motion.** State x = (px, py, vx, vy, ω): metres, metres per second, radians per second,
 anticlockwise; the time unit is the second. Nearly constant speed and turn rate; with α = ωT, over
@@ -18,11 +18,11 @@ metres, with independent Gaussian noises:
 
 Bearings are compared the short way round. g(z|x) is a density per radian and metre, and so must be
 κ(z): uniform clutter over a half disc of radius R that is uniform in bearing and range has the
-volume πR. The sensor is not linear: Gaussians go through it by sigma points (`models.gaussian`).
+volume πR. The sensor is not linear: Gaussians are transformed by sigma points (`models.gaussian`).
 
     p_D(x) = p_D · exp(−|p − o|² / 2ℓ²)
 
-falls with the range where a ``fade`` ℓ is given.
+falls with the range if ``fade`` ℓ is not 0.
 """
 
 from __future__ import annotations
@@ -192,14 +192,14 @@ class BearingSensor(PositionSensor):
     ----------
     bearing : σ_θ, standard deviation of the bearing, radians.
     reach : σ_r, standard deviation of the range, metres.
-    detection_probability : p_D of a target at the sensor's place.
+    detection_probability : p_D of a target at the sensor.
     fade : ℓ, metres over which p_D falls; 0: it does not.
-    origin : where the sensor stands, metres.
+    origin : position of the sensor, metres.
     birth_speed : standard deviation of an unknown velocity's amplitude, m/s.
     turn : standard deviation of an unknown turn rate, rad/s.
-    size : side of the square that is drawn about a position, metres.
-    gate_probability : part of the detections of a target that its gate holds; detections touch no
-        particles beyond. 1: no gate.
+    size : side of the square drawn around a position, metres.
+    gate_probability : share of the detections of a target inside its gate; particles beyond it are
+        not updated. 1: no gate.
     """
 
     bearing: Positive = math.pi / 90
@@ -237,7 +237,7 @@ class BearingSensor(PositionSensor):
         return turn, np.zeros_like(turn), longer
 
     def p_detect(self, x: F8) -> F8:
-        """p_D, falling with the range where ``fade`` says so."""
+        """p_D, falling with the range if ``fade`` is not 0."""
         if self.fade == 0:
             return np.full(x.shape[1], self.detection_probability)
         out: F8 = self.detection_probability * np.exp(
@@ -261,7 +261,7 @@ class BearingSensor(PositionSensor):
         return self
 
     def gate(self, z: F8) -> tuple[F8, F8]:
-        """Rectangles about the pieces of rings that reach G deviations of bearing and of range."""
+        """Rectangles around the ring segments within G deviations of bearing and range."""
         wide = self._gate * self.bearing
         deep = self._gate * self.reach
         near = np.maximum(z[1] - deep, 0.0)
@@ -274,8 +274,8 @@ class BearingSensor(PositionSensor):
         )
 
     def states(self, z: F8) -> tuple[F8, F8]:
-        """Targets at rest that would give z, with the covariance of what z alone tells, to first
-        order.
+        """Targets at rest that would give z, with the covariance if z is all that is known, to
+        first order.
         """
         n = z.shape[1]
         x = np.zeros((5, n))
@@ -291,7 +291,7 @@ class BearingSensor(PositionSensor):
         """(n, 2, 2) covariances of positions by the noise of bearing and range (2, n)."""
         sin = np.sin(polar[0])
         cos = np.cos(polar[0])
-        # At the sensor's place no bearing tells anything, and no position is better known than by
+        # At the sensor the bearing carries no information, and no position is better known than by
         # its range.
         across = np.maximum(np.abs(polar[1]) * self.bearing, self.reach * self.bearing)
         root = np.stack(
@@ -304,8 +304,8 @@ class BearingSensor(PositionSensor):
         return out
 
     def noise(self, x: F8) -> F8:
-        """(5, n) deviations by which components at ``x`` are resolved: of the position there, of
-        what is not measured.
+        """(5, n) deviations by which components at ``x`` are resolved: of the measured position,
+        and of unmeasured components.
         """
         out = np.empty((5, x.shape[1]))
         out[:2] = np.sqrt(
@@ -339,7 +339,7 @@ def _holds(first: F8, last: F8, angle: float) -> Bool:
     return out
 
 
-# What the particle filters ask of the two models (`phdtrack.kernels.particle_models`).
+# The functions that particle filters need of the two models (`phdtrack.kernels.particle_models`).
 
 
 class TurningWalk(NamedTuple):
@@ -350,8 +350,8 @@ class TurningWalk(NamedTuple):
 
 
 class BearingRange(NamedTuple):
-    """`BearingSensor`: place of the sensor, one over the deviations, the density's factor, extent
-    of a block.
+    """`BearingSensor`: position of the sensor, inverse deviations, the density's factor, extent of
+    a block.
     """
 
     x: float

@@ -1,6 +1,6 @@
-"""Merged measurements: two who meet and share a blob, and videos with background detectors.
+"""Merged measurements: two people who meet and share a blob, and videos with background detectors.
 
-Rendered meetings are seen through the change detector; the videos are those of `videos`.
+Rendered meetings go through the change detector; the videos are those of `videos`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from phdtrack.video import open_source
 
 FILTERS = ("pmb", "gm-phd")
 Sets = tuple[str, ...]
-# Settings by the name that the page gives them.
+# Settings by their name on the page.
 WAYS: Mapping[str, Sets] = {"as detected": (), "merged": ("merged_measurements.kind=explained",)}
 VIDEOS = (("PETS09-S2L1", "change"), ("PETS09-S2L1", "mog2"), ("TUD-Campus", "change"))
 LEAVES: tuple[Leave, ...] = ("right", "swapped", "new", "lost")
@@ -47,8 +47,8 @@ class BlobCase:
 
 @dataclass(frozen=True, slots=True)
 class BlobScores:
-    """Scores of corrected tracks and online rows; of a meeting with which identities two left the
-    blob, of either.
+    """Scores of corrected tracks and online rows; for a meeting, also the identities with which the
+    two left the blob, for either.
     """
 
     corrected: Scores
@@ -57,7 +57,7 @@ class BlobScores:
 
 
 def case_of(which: BlobCase) -> Case:
-    """The sequence, with what the background detector finds in it."""
+    """The sequence with the detections of the background detector."""
     if which.kind == "meeting":
         return filmed((next(one for one in PARTINGS if one == which.name), which.seed))
     sequence, _, detector = which.name.partition(" ")
@@ -86,12 +86,14 @@ def main(options: Options) -> Path:
     """Run everything and write blobs.md."""
     seeds = options.number(20, 2)
     filters, videos = (FILTERS[:1], VIDEOS[-1:]) if options.quick else (FILTERS, VIDEOS)
-    wanted = [BlobCase("meeting", parting, seed) for parting in PARTINGS for seed in range(seeds)]
-    wanted += [BlobCase("video", " ".join(video), 0) for video in videos]
+    blob_cases = [
+        BlobCase("meeting", parting, seed) for parting in PARTINGS for seed in range(seeds)
+    ]
+    blob_cases += [BlobCase("video", " ".join(video), 0) for video in videos]
     cases = dict(
-        zip(wanted, in_parallel(case_of, wanted, "blobs, detecting", options), strict=True)
+        zip(blob_cases, in_parallel(case_of, blob_cases, "blobs, detecting", options), strict=True)
     )
-    runs = [(which, name, way) for which in wanted for name in filters for way in WAYS]
+    runs = [(which, name, way) for which in blob_cases for name in filters for way in WAYS]
     jobs = [(which, cases[which], name, WAYS[way]) for which, name, way in runs]
     scored = dict(zip(runs, in_parallel(work, jobs, "blobs", options), strict=True))
     tables = {kind: table(*_table(kind, filters, scored)) for kind in ("meeting", "video")}
@@ -102,7 +104,7 @@ Runs = Mapping[tuple[BlobCase, str, str], BlobScores]
 
 
 def _table(kind: str, filters: Sets, scored: Runs) -> tuple[tuple[str, ...], list[list[object]]]:
-    """Header and rows, by filter, way and name of the case; of meetings also how the pairs left."""
+    """Header and rows by filter, method and case; for meetings also the outcomes of the pairs."""
     names = dict.fromkeys(which.name for which, _, _ in scored if which.kind == kind)
     rows: list[list[object]] = []
     for filter_, way, name in ((f, w, n) for n in names for f in filters for w in WAYS):
@@ -125,7 +127,7 @@ def _table(kind: str, filters: Sets, scored: Runs) -> tuple[tuple[str, ...], lis
 
 
 def _left(those: list[BlobScores]) -> list[str]:
-    """Shares of the pairs that left in each way, of the corrected tracks and (online)."""
+    """Shares of the pairs with each outcome, in the corrected tracks and (online)."""
     left = [one.leave for one in those if one.leave is not None]
     shares = [
         [float(np.mean([pair[k] == leave for pair in left])) for k in (0, 1)] for leave in LEAVES

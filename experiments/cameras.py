@@ -1,15 +1,16 @@
-"""New cameras and today's detectors: two presets and ten motion-only trackers, with the figure of
-groups left out.
+"""New cameras and current detectors: two presets and ten motion-only trackers, cross-validated over
+groups.
 
 The sequences are those in the folder ``more`` of the real data (MOT17, MOT20, DanceTrack, KITTI,
-cells, players, aerial views) and those of MOT15. All are tracked with one set of values, and the
-camera's motion is not given. Boxes without an area are left out. The scorer and the peers' scores
-are in the folder ``bench`` next to the data.
+cells, players, aerial views) and those of MOT15. All are tracked with the same settings and without
+camera motion. Boxes without an area are skipped. The scorer and the peers' scores are in the folder
+``bench`` next to the data.
 
 The preset ``mot15`` was chosen on MOT15. The default was chosen among its `VARIANTS` on all groups;
-what that choice is worth elsewhere says the left-out figure: each group is tracked with the variant
-that is best on the other groups, by the mean over groups of the mean distance of the online rows to
-the best peer."""
+cross-validation estimates its effect elsewhere: each group is tracked with the variant that is best
+on the other groups, by the mean over groups of the mean distance of the online rows to the best
+peer.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ DELAY = 0.3
 SHORT = ("KITTI-0014-car", "GOWT1-01", "MOT17-09")
 OURS = ("pmb", "gm-phd", "phdtrack")
 Sets = Mapping[str, Mapping[str, object]]
-# The preset and what is not as it says.
+# The preset and the settings that differ from it.
 VARIANTS: Mapping[str, tuple[str, Sets]] = {
     "mot15": ("mot15", {}),
     "default": ("default", {}),
@@ -68,16 +69,16 @@ VARIANTS: Mapping[str, tuple[str, Sets]] = {
     "false alarms 1": ("default", {"clutter": {"clutter_per_detection": 1.0}}),
 }
 SHOWN = ("mot15", "default")
-# How far behind the best peer a value may be, in points, without being listed.
+# Largest distance to the best peer, in points, that is not listed.
 BEHIND = {"online": 5.0, "corrected": 2.0}
-# Variant, folder of the sequence, name of the detections, folder of the results, whether only
-# delayed rows are wanted.
+# Variant, folder of the sequence, name of the detections, folder of the results, and True for
+# delayed rows only.
 CameraRun = tuple[str, str, str, str, bool]
 Row = Mapping[str, str]
 
 
 def bench() -> Path:
-    """The folder with the scorer and the peers' scores; `InputError` where it is missing."""
+    """The folder with the scorer and the peers' scores; `InputError` if it is missing."""
     folder = need_data().parent / "bench"
     if not (folder / "score_more.py").is_file() or not (need_data() / "more").is_dir():
         raise InputError("the sequences of new cameras, or their scorer, are missing", where=folder)
@@ -105,8 +106,12 @@ def track(job: CameraRun) -> None:
     online = []
     for number in range(1, info.frames + 1):
         online.append(tracker.update(boxes[rows[:, 0] == number], frame=number))
-    given = Tracks.concatenate([*online, tracker.flush()])
-    made = {"delayed": given} if delayed else {"online": given, "corrected": tracker.tracks()}
+    online_rows = Tracks.concatenate([*online, tracker.flush()])
+    made = (
+        {"delayed": online_rows}
+        if delayed
+        else {"online": online_rows, "corrected": tracker.tracks()}
+    )
     for output, tracks in made.items():
         if folder.parent.name == "mot15":
             truth = counted(read_truth(folder / "gt" / "gt.txt"))
@@ -122,8 +127,8 @@ def track(job: CameraRun) -> None:
 def scored(job: tuple[str, str, str]) -> list[Row]:
     """The scores of every case and of every group (whose sequence is ALL) of a variant's output.
 
-    Those of new cameras are by the scorer in the folder next to the data, those of MOT15 were
-    scored when they were tracked; their group is the mean of its cases.
+    New cameras are scored by the scorer in the folder next to the data. MOT15 was scored while
+    tracking; its group is the mean of its cases.
     """
     variant, output, place = job
     results = Path(place) / variant
@@ -162,7 +167,7 @@ def peers_of_cases() -> list[Row]:
 
 
 def best(peers: Sequence[Row]) -> list[float]:
-    """The best peer's value in each score, another peer for each."""
+    """The best peer's value in each score; each score may have another best peer."""
     others = [row for row in peers if not row["name"].startswith(OURS)]
     return [max(float(row[score]) for row in others) for score in SCORES]
 
@@ -218,7 +223,7 @@ def difference(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[fl
 
 
 def behind(kept: Mapping[tuple[str, str], Sequence[Row]], peers: Sequence[Row]) -> list[list[str]]:
-    """The pairs in which the default is farther behind the best peer than `BEHIND`, the farthest
+    """The pairs in which the default is more than `BEHIND` below the best peer, largest distance
     first.
     """
     found = []
@@ -250,8 +255,8 @@ def behind(kept: Mapping[tuple[str, str], Sequence[Row]], peers: Sequence[Row]) 
 
 
 def left_out(by_variant: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
-    """The variant for each group that is best, in the mean, on the other groups; ``by_variant`` as
-    of `distances`.
+    """For each group, the variant that is best on average on the other groups; ``by_variant`` as
+    from `distances`.
     """
     groups = next(iter(by_variant.values()))
     return {
@@ -288,11 +293,11 @@ def main(options: Options) -> Path:
             "cameras",
             options,
         )
-        wanted = [(variant, output, place) for variant in some for output in outputs]
+        scoring_jobs = [(variant, output, place) for variant in some for output in outputs]
         rows.update(
             zip(
-                [job[:2] for job in wanted],
-                in_parallel(scored, wanted, "scores", options),
+                [job[:2] for job in scoring_jobs],
+                in_parallel(scored, scoring_jobs, "scores", options),
                 strict=True,
             )
         )

@@ -16,10 +16,10 @@ from phdtrack.formats import read_truth
 from phdtrack.simulate import DetectorModel, Rendered, add_clutter, detect, make_scene
 from phdtrack.types import SequenceInfo
 
-# A sequence, and which detections of it: public or frcnn; made; of a simulated scene; of one with
-# places that fire; of a rendered one, by a detector.
+# A sequence and the kind of its detections: public or frcnn; simulated from its truth; of a
+# simulated scene, without or with repeated false alarms; of a rendered scene, by a detector.
 Named = tuple[str, str]
-# The shipped defaults were chosen by scores on these.
+# The defaults were chosen by scores on these.
 _BOTH = ("PETS09-S2L1", "TUD-Campus", "KITTI-17")
 CASES: tuple[Named, ...] = (
     *((name, kind) for name in _BOTH for kind in ("public", "frcnn")),
@@ -30,10 +30,9 @@ HELD_OUT: tuple[Named, ...] = (("ETH-Sunnyday", "public"), ("ETH-Sunnyday", "frc
 MADE: tuple[Named, ...] = (("OneLeaveShop1cor", "made"), ("PETS2009-S1L1-1", "made"))
 _NAMES = ("street", "crossing", "occlusion", "crowd", "corridor")
 SCENES: tuple[Named, ...] = tuple((name, "scene") for name in _NAMES)
-# The scenes as `phdtrack simulate` makes them: five places where something is reported in every
-# other frame.
+# The scenes of `phdtrack simulate`: five places with a false alarm in every other frame.
 PLACES: tuple[Named, ...] = tuple((name, "places") for name in _NAMES)
-# Three of them as a video, in which a detector finds what it can.
+# Three of them rendered, with the detections of a detector.
 RENDERED: tuple[Named, ...] = tuple(
     (name, "rendered") for name in ("street", "crossing", "corridor")
 )
@@ -46,27 +45,27 @@ _ANNOTATED = {
     ),
     "PETS2009-S1L1-1": ("pets2009/PETS2009-S1L1-1.xml", e13.INFO),
 }
-# Two false alarms a frame; a person of whom the part c is hidden is detected with probability 0.9
-# (1 − c), in scenes 0.9 (1 − c)².
+# Two false alarms a frame; a person with the hidden share c is detected with probability 0.9 (1 −
+# c), in scenes 0.9 (1 − c)².
 _DETECTOR = DetectorModel(occlusion=1.0)
 _IN_SCENES = DetectorModel(occlusion=2.0)
 
 
 def short(cases: Sequence[Named]) -> tuple[Named, ...]:
-    """The short sequences among them, for short forms."""
+    """The short sequences of the cases, for short forms."""
     return tuple(case for case in cases if case[0] in ("TUD-Campus", "KITTI-17"))
 
 
 @lru_cache(maxsize=8)
-def given(sequence: str, kind: str) -> Case:
-    """A sequence with its ``public`` or ``frcnn`` detections, read once a process."""
+def real_case(sequence: str, kind: str) -> Case:
+    """A sequence with its ``public`` or ``frcnn`` detections, read once per process."""
     return mot15(sequence, kind)
 
 
 @lru_cache(maxsize=2)
 def rendered(name: str, seed: int) -> Case:
-    """The video of a scene, and what the change detector finds in it, both as shipped; kept, as it
-    takes seconds.
+    """The video of a scene with the detections of the change detector, both with defaults; cached,
+    because it takes seconds.
     """
     scene = make_scene(name, seed, frames=SCENE_FRAMES)
     return Case(
@@ -75,8 +74,8 @@ def rendered(name: str, seed: int) -> Case:
 
 
 def drawn(name: Named, seed: int) -> Case:
-    """A case by its name; ``seed`` draws what is made and what is simulated, and does nothing to
-    real detections.
+    """A case by its name. ``seed`` is that of simulated and rendered data; real detections do not
+    depend on it.
     """
     sequence, kind = name
     if kind in ("scene", "places"):
@@ -92,11 +91,13 @@ def drawn(name: Named, seed: int) -> Case:
         return Case(
             sequence, info, truth, detect(truth, info, np.random.default_rng(seed), _DETECTOR).table
         )
-    return given(sequence, kind)
+    return real_case(sequence, kind)
 
 
 def cluttered(case: Case, rate: float, seed: int) -> Case:
-    """The case with Poisson(``rate``) clutter boxes per frame added, of the truth's sizes."""
+    """The case with Poisson(``rate``) added clutter boxes per frame, with the sizes of the
+    truth.
+    """
     if rate == 0:
         return case
     sizes = case.truth.xyxy[:, 2:] - case.truth.xyxy[:, :2]

@@ -2,9 +2,10 @@
 separately.
 
 Both sequences have the size of the larger and the frames of the shorter one. *Apart*: a tracker for
-each class. *Classes*: one tracker that is told the classes. *Without*: one tracker that is not
-told; a track then has the class of most of its detections. Each class is scored on its own, without
-the benchmarks' ignored regions."""
+each class. *Classes*: one tracker with class labels. *Without*: one without them; a track then gets
+the class of most of its detections. Each class is scored on its own, without the benchmarks'
+ignored regions.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ class Crossing(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Scores in points (2 outputs, 2 classes, 3 scores), and of the identities those with
+    """Scores in points (2 outputs, 2 classes, 3 scores), and the number of identities with
     detections of both classes.
     """
 
@@ -82,53 +83,55 @@ def laid_over(cars: str, detector: str) -> tuple[SequenceInfo, DetectionTable, d
     return info, DetectionTable(frame[order], Detections(boxes, score, label).select(order)), truth
 
 
-def tracked(info: SequenceInfo, given: DetectionTable, preset: str) -> tuple[Tracks, Tracks]:
+def tracked(info: SequenceInfo, detections: DetectionTable, preset: str) -> tuple[Tracks, Tracks]:
     """Online and corrected rows."""
     tracker = Tracker((info.width, info.height), fps=info.fps, preset=preset)
     online = [
-        tracker.update(given.at(number), frame=number) for number in range(1, info.frames + 1)
+        tracker.update(detections.at(number), frame=number) for number in range(1, info.frames + 1)
     ]
     return Tracks.concatenate([*online, tracker.flush()]), tracker.tracks()
 
 
-def classes_of(rows: Tracks, given: DetectionTable) -> I8:
-    """(M,) the class of the detection that each row rests on, 0 where there is none."""
-    start = np.searchsorted(given.frame, rows.frame)
-    used = np.minimum(start + np.maximum(rows.detection, 0), len(given) - 1)
-    return np.where(rows.detection >= 0, given.detections.class_id[used], 0)
+def classes_of(rows: Tracks, detections: DetectionTable) -> I8:
+    """(M,) the class of the detection that each row uses, 0 for none."""
+    start = np.searchsorted(detections.frame, rows.frame)
+    used = np.minimum(start + np.maximum(rows.detection, 0), len(detections) - 1)
+    return np.where(rows.detection >= 0, detections.detections.class_id[used], 0)
 
 
 def by_majority(rows: Tracks, seen: I8) -> Tracks:
-    """The rows with the class of most detections of their identity."""
+    """The rows with the most frequent class of the detections of their identity."""
     _, place = np.unique(rows.identity, return_inverse=True)
     cars, people = (np.bincount(place, seen == label) for label in (CAR, PERSON))
     return replace(rows, class_id=np.where(people > cars, PERSON, CAR)[place])
 
 
 def crossing(job: tuple[Crossing, str]) -> Found:
-    """One way to track one crossing."""
+    """Track one crossing in one way."""
     (cars, detector, preset), way = job
-    info, given, truth = laid_over(cars, detector)
-    label = given.detections.class_id
+    info, detections, truth = laid_over(cars, detector)
+    label = detections.detections.class_id
     scores = np.zeros((2, 2, 3))
     mixed = []
     identities = []
     if way == "apart":
         each = []
         for one in (CAR, PERSON):
-            mine = DetectionTable(given.frame[label == one], given.detections.select(label == one))
+            mine = DetectionTable(
+                detections.frame[label == one], detections.detections.select(label == one)
+            )
             each.append(tracked(info, mine, preset))
         outputs = list(zip(*each, strict=True))
     else:
-        told = (
-            given
+        inputs = (
+            detections
             if way == "classes"
-            else replace(given, detections=replace(given.detections, class_id=0 * label))
+            else replace(detections, detections=replace(detections.detections, class_id=0 * label))
         )
-        outputs = [(rows, rows) for rows in tracked(info, told, preset)]
+        outputs = [(rows, rows) for rows in tracked(info, inputs, preset)]
     for k, pair in enumerate(outputs):
         if way != "apart":
-            seen = classes_of(pair[0], given)
+            seen = classes_of(pair[0], detections)
             rows = pair[0] if way == "classes" else by_majority(pair[0], seen)
             pair = (rows, rows)
             both = [set(rows.identity[seen == one].tolist()) for one in (CAR, PERSON)]

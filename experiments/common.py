@@ -38,7 +38,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 QUICK_RESULTS = ROOT / "runs" / "experiments-quick"
 PAGES = Path(__file__).parent / "pages"
-# Into a file or a pipe progress is written this rarely, seconds.
+# Seconds between progress lines if stderr is not a terminal.
 QUIET = 10.0
 
 A = TypeVar("A")
@@ -51,16 +51,16 @@ class Options:
 
     Attributes
     ----------
-    runs : Monte Carlo runs (seeds) of each case; 0: the experiment's own number. One that draws
-        nothing does not ask.
-    quick : a short form that shows that everything works; its figures are no results.
-    out : where pages and pictures are written; None: docs/results, in the short form
+    runs : Monte Carlo runs (seeds) of each case; 0: the experiment's own number. Ignored by
+        experiments without randomness.
+    quick : a short form that shows that everything works; its figures are not results.
+    out : folder for pages and pictures; None: docs/results, in the short form
         runs/experiments-quick.
     jobs : number of processes; 0: one for each core.
     name : of the experiment, which may have pages of other names.
 
-    The real sequences are where the environment says (`need_data`), because worker processes need
-    them too.
+    The folder of the real sequences comes from the environment (`need_data`), because worker
+    processes need it too.
     """
 
     runs: int = 0
@@ -70,8 +70,8 @@ class Options:
     name: str = ""
 
     def number(self, usual: int, quick: int) -> int:
-        """Number of runs: as asked for, else ``quick`` in the short form and ``usual`` in the full
-        one.
+        """Number of runs: the requested one, else ``quick`` in the short form and ``usual`` in the
+        full one.
         """
         return self.runs or (quick if self.quick else usual)
 
@@ -95,8 +95,8 @@ class Case:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedCase:
-    """Corrected tracks, the rows given online, and the seconds that a frame took: filter,
-    extraction, association.
+    """Corrected tracks, online rows, and the seconds per frame of filter, extraction and
+    association.
     """
 
     corrected: Tracks
@@ -105,14 +105,14 @@ class TrackedCase:
 
     @property
     def seconds(self) -> float:
-        """All three."""
+        """Seconds per frame in all stages."""
         return sum(self.stages)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredCase:
-    """Scores of the corrected tracks, mean delay of the first output in frames, seconds of a frame
-    as of `TrackedCase`.
+    """Scores of the corrected tracks, mean delay of the first output in frames, and seconds per
+    frame as in `TrackedCase`.
     """
 
     scores: Scores
@@ -126,7 +126,7 @@ class ScoredCase:
 
 
 def need_data() -> Path:
-    """The folder of real sequences, $PHDTRACK_DATA or ../shared/data; `InputError` where it is
+    """The folder of real sequences, $PHDTRACK_DATA or ../shared/data; `InputError` if it is
     missing.
     """
     data = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
@@ -163,7 +163,9 @@ def detections_in(frames: Iterable[Frame], detector_name: str = "change") -> Det
 def built(
     info: SequenceInfo, filter_name: str, sets: Sequence[str] = (), preset: str = ""
 ) -> AnyStages:
-    """The stages of a filter, with ``sets``, which may be settings that no other filter has."""
+    """The stages of a filter with the settings ``sets``, some of which only this filter may
+    have.
+    """
     return config.build(config.load(None, (f"filter.kind={filter_name}", *sets), preset), info)
 
 
@@ -187,8 +189,8 @@ def followed(stages: AnyStages, case: Case, seed: int) -> TrackedCase:
 def measure(
     case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = ""
 ) -> ScoredCase:
-    """Track a case with a filter, settings that are not its own, and a preset; the scores of its
-    corrected tracks.
+    """Track a case with a filter, changed settings and a preset; return the scores of its corrected
+    tracks.
     """
     run = followed(built(case.info, filter_name, sets, preset), case, seed)
     delays = first_output_delays(case.truth, run.corrected, case.table).delay
@@ -199,7 +201,7 @@ def measure(
 
 
 def uniform_density(low: F8, high: F8) -> SceneDensity:
-    """A learned density that says of no place that more comes there."""
+    """A learned density that is uniform."""
     d = len(low)
     return SceneDensity(low, high, 1.0, np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
 
@@ -211,10 +213,10 @@ def with_scene(
     followed: TrackedObjects | None,
     particles: int,
 ) -> Model:
-    """The model with what a scene has taught, added to its own births and false alarms if they are
-    the same at every scale.
+    """The model with learned births and false alarms, added to its own if those are the same at
+    every scale.
 
-    None: what was not learned stays as it is; ``particles`` is Jmax.
+    A part that is None stays unchanged; ``particles`` is Jmax.
     """
     birth = model.birth
     false = model.clutter
@@ -233,10 +235,10 @@ def with_scene(
 
 
 def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: Options) -> list[B]:
-    """``work`` over ``jobs`` in processes of their own, in the order of the jobs; progress on
+    """Run ``work`` on ``jobs`` in worker processes; results in the order of the jobs, progress on
     stderr.
 
-    On a terminal the progress is one line that changes, elsewhere a line from time to time.
+    On a terminal the progress is one line that is updated, elsewhere a line now and then.
     """
     processes = min(options.jobs or os.cpu_count() or 1, max(len(jobs), 1))
     _say(f"{label}: {len(jobs)} runs, {processes} at a time")
@@ -267,7 +269,7 @@ _LOADED: set[str] = set()
 
 
 def _noted(work: Callable[[A], B], job: A) -> tuple[B, set[str]]:
-    """The result of a job, and the modules that it needed."""
+    """The result of a job, and the modules that it loaded."""
     return work(job), made.loaded()
 
 
@@ -291,7 +293,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def with_interval(value: Interval, digits: int = 3, sign: str = "") -> str:
-    """A cell: a mean with half its interval, where there is one that is not 0 in these digits."""
+    """A cell: a mean with half its interval, unless that rounds to 0."""
     mean = f"{value.mean:{sign}.{digits}f}"
     return (
         mean
@@ -301,7 +303,7 @@ def with_interval(value: Interval, digits: int = 3, sign: str = "") -> str:
 
 
 def with_error(values: Sequence[float], digits: int = 3) -> str:
-    """A cell: mean ± standard error; of one value the value."""
+    """A cell: mean ± standard error; a single value without an error."""
     mean = f"{np.mean(values):.{digits}f}"
     return (
         mean
@@ -311,14 +313,14 @@ def with_error(values: Sequence[float], digits: int = 3) -> str:
 
 
 def filled(template: str, **values: object) -> str:
-    """The template ``pages/NAME.md`` with its places filled."""
+    """The template ``pages/NAME.md`` with its placeholders filled."""
     return (PAGES / f"{template}.md").read_text(encoding="utf-8").format(**values)
 
 
 def write(name: str, options: Options, **values: object) -> Path:
-    """Fill the template of a page, write the page and what it was made by, and say where it is.
+    """Fill the template of a page, write it with its provenance, and print its path.
 
-    The page of a short form says that it is no result.
+    The page of a short form states that it is not a result.
     """
     text = filled(name, **values)
     if options.quick:

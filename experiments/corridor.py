@@ -1,4 +1,4 @@
-"""Four people who enter, cross and leave a corridor, and their centroids as measurements of points
+"""Four people who enter, cross and leave a corridor, with their centroids as point measurements
 [D14].
 
 D14 tracks people in a CAVIAR sequence of a shopping centre's corridor: four targets over 475 frames
@@ -7,9 +7,9 @@ like that one's: one walks up it, one comes out of a shop's door, stops and leav
 comes from the far end and crosses both paths, one comes from the right and enters the shop. Its
 truth does not depend on the random stream.
 
-People walk more evenly than D14's model says, whose velocity changes by √2 pixels a frame on either
-axis in every frame. A filter's error where its model is true is seen on `wandering` points, which
-live as long and move as a model says.
+People walk more evenly than in D14's model, in which the velocity changes by √2 pixels a frame on
+each axis in every frame. `wandering` points live as long and follow the model, so they show a
+filter's error if its model is true.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ def paths() -> Truth:
     """The truth of `PATHS`: boxes clipped to the frame; the middle of such a box is the
     centroid.
     """
-    # Nothing in it is drawn by chance, but a scene asks for a generator.
+    # Nothing in it is random, but a scene needs a generator.
     return PATHS.truth(PATHS.figures(np.random.default_rng(0)))
 
 
 def wandering(motion: Motion, speed: float, rng: np.random.Generator) -> Truth:
-    """Four points that are there as long as the people of `PATHS`, start where they start, and move
-    as ``motion`` draws.
+    """Four points with the lifetimes and starting positions of the people of `PATHS`, moved by
+    draws from ``motion``.
 
     ``motion`` has states (px, py, vx, vy); ``speed`` is the standard deviation of each component of
     the first velocity, pixels a frame. Points wander out of the frame.
@@ -83,7 +83,7 @@ def wandering(motion: Motion, speed: float, rng: np.random.Generator) -> Truth:
 
 
 def _drawn(motion: Motion, state: F8, rng: np.random.Generator) -> F8:
-    """The state (4, 1) a frame later, where ``motion`` disturbs position and velocity of each axis
+    """The state (4, 1) a frame later; ``motion`` disturbs position and velocity of each axis
     independently.
     """
     moved, _, noise = motion.transition(state, 1.0)
@@ -103,7 +103,7 @@ def measured(
     """For each of the frames 1 … ``frames`` the measurements (3, n): centroids with Gaussian noise,
     and their identities.
 
-    Nobody is missed and nothing is added; the third row is the identity. ``variance`` is that of
+    There are no misses and no false alarms; the third row is the identity. ``variance`` is that of
     each coordinate in pixels², 0 for clean centroids. Raises `InputError` for a negative one.
     """
     if not 0 <= variance < np.inf:

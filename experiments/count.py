@@ -2,10 +2,10 @@
 with known parameters.
 
 Truth by the filter's own model, `experiments.counting_scene`: ten targets at the start, p_S = 0.99,
-births that keep the number. ``known``: the filter is given all of it, also the laws that births and
-clutter are drawn from. ``shipped``: it is given the rates and the noises, but its births and
-clutter are the package's, uniform over the image and all sizes, while the false alarms have the
-sizes of the targets.
+births that keep the number. ``known``: the filter has all parameters and also the densities of
+births and clutter. ``shipped``: it has the rates and the noises, but births and clutter are the
+package's, uniform over the image and all sizes, although the false alarms have the sizes of the
+targets.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ CLUTTER = (0.0, 5.0, 20.0)
 SEEDS = 20
 FEW_SEEDS = 6
 FRAMES = 200
-# M07's numbers: particles per target, and around a detection of which nothing is predicted.
+# M07's numbers: particles per target, and around a detection without predicted mass.
 PER_TARGET = 1500
 MOST = 1000
-# What few particles cost is shown for one combination.
+# The cost of few particles is shown for one combination.
 FEW = (300, 1500, 6000)
 FEW_CASE = (0.7, 5.0)
 # The squared radius that holds 99 % of a Gaussian in the plane.
@@ -53,9 +53,9 @@ class SceneBirth:
     """γ of the scene: centres uniform over the frame, heights log-uniform, one aspect, ``rate``
     births per frame, of which there are 25 a second.
 
-    Drawn around the detections: for each, heights log-uniform among those that could give it, and
-    centres from the noise inside its 99 % region. The weight is γ over the mixture of all
-    proposals.
+    Particles are drawn around the detections: heights log-uniform among those that could cause the
+    detection, and centres from the noise inside its 99 % region. The weight is γ over the mixture
+    of all proposals.
     """
 
     scene: Counting
@@ -65,7 +65,7 @@ class SceneBirth:
     def sample(
         self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator
     ) -> Particles:
-        """Newborn particles around the detections that nothing predicted accounts for."""
+        """Newborn particles around the detections that no predicted mass explains."""
         low, high = self._heights(z)
         counts = np.where(high > low, np.ceil(self.most * np.clip(1 - covered, 0, 1)), 0).astype(
             np.int64
@@ -105,18 +105,18 @@ class SceneBirth:
         )
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """Raises `InputError`: heights that are uniform in their logarithm are no Gaussians."""
+        """Raises `InputError`: log-uniform heights are not Gaussian."""
         raise InputError(
             "the births of the counting scene have no Gaussian form", cure="Use a particle filter"
         )
 
     def expected_count(self, z: F8, seconds: float) -> float:
-        """Births in so many seconds."""
+        """Expected births in ``seconds``."""
         return 25 * self.rate * seconds
 
     def _heights(self, z: F8) -> tuple[F8, F8]:
-        """(N,) each: the shortest and the tallest newborn that could have given each detection, by
-        its width and height.
+        """(N,) each: heights of the shortest and the tallest newborn target that could have caused
+        each detection, by its width and height.
         """
         reach = 4 * PAPER_DETECTOR.jitter_size
         smaller = np.minimum(z[2] / self.scene.aspect, z[3])
@@ -191,8 +191,8 @@ class Row:
 
 
 def _model(scene: Counting, p_detect: float, clutter: float, laws: Laws) -> tuple[Model, Model]:
-    """The model of the first frame, whose births are the targets that are there already, and that
-    of the others.
+    """The model of the first frame, whose births are the initial targets, and the model of the
+    others.
     """
     size = (float(scene.width), float(scene.height))
     motion = BoxMotion(
@@ -283,8 +283,8 @@ def row(
 
 @dataclass(frozen=True, slots=True)
 class CountCase:
-    """One combination: the laws given to the filter, p_D, clutter, number of seeds, particles per
-    target.
+    """One combination: the densities that the filter has, p_D, clutter, number of seeds, particles
+    per target.
     """
 
     laws: Laws

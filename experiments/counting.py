@@ -1,5 +1,5 @@
-"""Crossings of lines and visits of zones: `phdtrack count` against the same counts of the annotated
-truth.
+"""Crossings of lines and visits of zones: `phdtrack count` compared with the same counts of the
+annotated truth.
 
 Two videos, PETS09-S2L1 and CAVIAR's shop corridor. The truth goes through the same lines and zones,
 with the same hysteresis. Lines and zones were drawn before anything was counted.
@@ -78,7 +78,7 @@ def as_tracks(truth: Truth) -> Tracks:
 
 
 def inside(events: list[Event], place: str, last: int) -> F8:
-    """(last,) how many are in a zone in each frame."""
+    """(last,) number of objects in a zone in each frame."""
     change = np.zeros(last + 1)
     for event in events:
         if event.place == place:
@@ -87,17 +87,19 @@ def inside(events: list[Event], place: str, last: int) -> F8:
 
 
 def work(job: tuple[Count, Path]) -> list[list[object]]:
-    """A row for each place, of the corrected tracks and of those given online."""
+    """A row for each place, for the corrected tracks and for the online rows."""
     case, runs = job
     out = runs / f"{case.name}-{'given' if case.detections else 'change'}"
-    given = ("--detections", str(need_data() / case.detections)) if case.detections else ()
+    detection_options = (
+        ("--detections", str(need_data() / case.detections)) if case.detections else ()
+    )
     command = [
         sys.executable,
         "-m",
         "phdtrack",
         "track",
         str(need_data() / case.video),
-        *given,
+        *detection_options,
         "--no-video",
         "--overwrite",
     ]
@@ -108,7 +110,7 @@ def work(job: tuple[Count, Path]) -> list[list[object]]:
     fps = run.info.fps
     truth = place_events(watch, as_tracks(read_truth(need_data() / case.truth)), last, fps)
     rows = list[list[object]]()
-    for what, tracks in (
+    for output, tracks in (
         ("corrected", run.tracks),
         ("online", read_run_tracks(out / "tracks_online.csv").tracks),
     ):
@@ -121,7 +123,13 @@ def work(job: tuple[Count, Path]) -> list[list[object]]:
         for place, (real, ours) in zip(case.places, pairs, strict=True):
             seen = "public" if case.detections else "change"
             rows.append(
-                [case.name, seen, what, place.name, *_cells(place, real, ours, truth, found, last)]
+                [
+                    case.name,
+                    seen,
+                    output,
+                    place.name,
+                    *_cells(place, real, ours, truth, found, last),
+                ]
             )
     return rows
 

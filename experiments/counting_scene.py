@@ -1,10 +1,11 @@
 """A scene whose model is known exactly, for experiments that count.
 
 Targets move by the motion model with state-dependent variances, one step a frame [M09 (11)]; each
-stays with p_S; in every frame Poisson(birth rate) new ones appear, uniform over the frame. With the
-default birth rate n (1 − p_S) the expected number is n in every frame. That needs a world without
-borders: after a hundred frames of this motion many a target is outside of the frame. With
-``leaving`` they are gone then, the survival is p_S inside and 0 outside, and the number falls.
+survives with p_S; in every frame Poisson(birth rate) new ones appear, uniform over the frame. With
+the default birth rate n (1 − p_S) the expected number is n in every frame. This needs a world
+without borders: after a hundred frames of this motion many targets are outside the frame. With
+``leaving`` those are removed: the survival probability is p_S inside and 0 outside, and the number
+falls.
 """
 
 from __future__ import annotations
@@ -34,16 +35,16 @@ class Counting:
     ----------
     n : number of targets in the first frame.
     frames, fps, width, height : of the sequence.
-    p_survive : probability to stay from one frame to the next.
+    p_survive : survival probability from one frame to the next.
     birth_rate : expected newborn targets per frame; negative: n (1 − p_survive).
     birth_speed : standard deviation of the amplitude of a newborn's velocity, in widths per frame;
         any direction.
     birth_height : newborn heights are log-uniform between these, pixels.
     aspect : width over height of a newborn.
     sd_velocity, sd_size : the standard deviations of n1, n2 and of nw, nh in M09 (11).
-    leaving : a target is gone once its centre is outside the frame. False: the world goes on beyond
-        it, targets out there are in the truth and detected like others (clutter and births stay
-        within the frame).
+    leaving : remove a target once its centre is outside the frame. False: the world has no borders,
+        and targets outside the frame are in the truth and are detected like others (clutter and
+        births stay within the frame).
     """
 
     n: int = 10
@@ -71,10 +72,10 @@ class Counting:
             < self.birth_height[0]
             <= self.birth_height[1],
         }
-        for what, met in expected.items():
+        for requirement, met in expected.items():
             if not met:
                 raise InputError(
-                    f"expected {what}",
+                    f"expected {requirement}",
                     where="counting scene",
                     cure="Change this setting of the scene",
                 )

@@ -43,12 +43,12 @@ WORLDS = {
     "caviar": "CAVIAR, OneLeaveShop1cor",
 }
 PEOPLE = ("corridor", "caviar")
-# Where a chain goes with more samples than D14's grid has; of the points drawn from the model.
+# More samples than in D14's grid, for the points drawn from the model.
 BEYOND = 16000
 PHD, JOINT, TRUE, GREEDY = FILTERS
 CHAINS = (JOINT, TRUE, GREEDY)
-# D14's figures over all settings and at N = 4000, with the seconds that this took; its MCMC filter
-# is the greedy one.
+# D14's figures over all settings and at N = 4000, with its times in seconds; its MCMC filter is the
+# greedy one.
 PAPER = {PHD: ("0.002–1.11", "0.002–0.40", "53"), GREEDY: ("0.11–1.28", "0.11–1.27", "63")}
 Results = Mapping[CorridorRun, RunErrors]
 Measure = Callable[[RunErrors], float]
@@ -64,7 +64,7 @@ class CorridorErrors:
 
     @property
     def all_numbers(self) -> tuple[int, ...]:
-        """Numbers of samples of the chains, with those beyond the grid where they were run."""
+        """Numbers of samples of the chains, including those beyond the grid."""
         few = {job.number for job in self.results if job.filter in CHAINS}
         return tuple(sorted(few))
 
@@ -76,7 +76,7 @@ class CorridorErrors:
         variance: float,
         of: Callable[[RunErrors], F8 | float],
     ) -> F8:
-        """(seeds, …) of every run of a setting."""
+        """(seeds, …) values of all runs of a setting."""
         number = 0 if name == KALMAN else number
         return np.array(
             [
@@ -97,7 +97,7 @@ class CorridorErrors:
         return float(np.mean(each))
 
     def far(self, name: str, number: int) -> float:
-        """Distance from the exact posterior mean where the model is true, over the seeds of the
+        """Distance from the exact posterior mean on data from the model, over the seeds of the
         chains.
         """
         few = range(seeds_of("model", self.seeds))
@@ -126,8 +126,8 @@ def seconds(outcome: RunErrors) -> float:
 
 
 def with_misses(outcome: RunErrors) -> float:
-    """RMSE per axis over all frames of all targets alike, with the gate as the error of a target
-    not located.
+    """RMSE per axis over all frames of all targets; the error of an unlocated target is the
+    gate.
     """
     near = np.where(outcome.located > 0, outcome.truth, 0.0) ** 2
     return math.sqrt((outcome.located * near + (1 - outcome.located) * GATE**2 / 2).mean())
@@ -153,7 +153,7 @@ def spread(values: F8) -> str:
 def whole(found: CorridorErrors, of: Measure, shares: bool = False) -> str:
     """A table for all worlds: a row for each variance and N, a column for each filter.
 
-    ``shares`` puts the percentage of frames in which a target was located behind each value.
+    ``shares`` adds the percentage of frames in which a target was located to each value.
     """
     rows: list[tuple[object, ...]] = []
     for world, title in WORLDS.items():
@@ -197,14 +197,14 @@ def overview(found: CorridorErrors) -> str:
                 cells.append(f"{far:.3f}")
             rows.append((place, name, *cells, "" if name == KALMAN else falls(found, name, worlds)))
     columns = [
-        f"{what}, N = {number}" for number in ends for what in ("px (located)", "with misses")
+        f"{column}, N = {number}" for number in ends for column in ("px (located)", "with misses")
     ]
     return table(("", "", *columns, "steps of N in which that falls"), rows)
 
 
 def target_tables(found: CorridorErrors) -> str:
-    """D14's tables, one for each world and variance: of every target the error to the truth and,
-    behind it, to z.
+    """D14's tables, one for each world and variance: for every target the error to the truth and,
+    in brackets, to z.
     """
     parts = []
     for world, title in WORLDS.items():
@@ -252,7 +252,9 @@ def typical(found: CorridorErrors, world: str, name: str, number: int) -> float:
 
 
 def times(found: CorridorErrors) -> str:
-    """Seconds for each sequence, by filter and N. The paper's stand in the row of the corridor."""
+    """Seconds for each sequence, by filter and N. The paper's values are in the row of the
+    corridor.
+    """
     rows = []
     for world, title in WORLDS.items():
         for number in found.numbers:
@@ -271,8 +273,8 @@ def times(found: CorridorErrors) -> str:
 
 
 def distances(found: CorridorErrors) -> str:
-    """A row for each N: how far the chains' means are from the exact posterior mean where the model
-    is true.
+    """A row for each N: the distance of the chains' means from the exact posterior mean on data
+    from the model.
     """
     rows = [(number, *(found.far(name, number) for name in CHAINS)) for number in found.all_numbers]
     return table(("N", *CHAINS), rows)

@@ -36,7 +36,7 @@ _COLOURS = dict(zip((*FILTERS, KALMAN), ("C0", "C1", "C2", "C3", "k"), strict=Tr
 def pictures(
     results: Mapping[CorridorRun, RunErrors], numbers: Sequence[int], seeds: int, out: Path
 ) -> None:
-    """Errors, and frames and trajectories of the simulated corridor, as PNG files in ``out``."""
+    """Write errors, frames and trajectories of the simulated corridor as PNG files into ``out``."""
     errors_by_number(results, numbers, seeds, out / "d14-errors.png")
     found = _tracked("corridor", numbers[-1])
     rendered = Rendered(
@@ -56,7 +56,7 @@ def _tracked(world: str, number: int) -> dict[str, Points]:
 def errors_by_number(
     results: Mapping[CorridorRun, RunErrors], numbers: Sequence[int], seeds: int, path: Path
 ) -> None:
-    """RMSE against the truth over N with the spread over seeds, a panel for each world and
+    """Draw the RMSE against the truth over N with the spread over seeds, a panel for each world and
     variance.
     """
     plt = pyplot()
@@ -99,18 +99,18 @@ def errors_by_number(
 
 
 def ellipses(world: str, found: Mapping[str, Points], frames: Iterable[Frame], path: Path) -> None:
-    """Truth and states on some frames: a row for each filter, as D14's Figs. 2–4."""
+    """Draw truth and states on some frames: a row for each filter, as in D14's Figs. 2–4."""
     plt = pyplot()
     from matplotlib.patches import Ellipse
 
-    shown = SHOWN
-    images = {frame.number: frame.image[:, :, ::-1] for frame in frames if frame.number in shown}
+    numbers = SHOWN
+    images = {frame.number: frame.image[:, :, ::-1] for frame in frames if frame.number in numbers}
     figure, axes = plt.subplots(
-        len(found), len(shown), figsize=(12, 2.45 * len(found)), layout="constrained"
+        len(found), len(numbers), figsize=(12, 2.45 * len(found)), layout="constrained"
     )
     truth = scene(world)
     for row, (name, points) in zip(axes, found.items(), strict=True):
-        for axis, number in zip(row, shown, strict=True):
+        for axis, number in zip(row, numbers, strict=True):
             axis.imshow(images[number])
             boxes = to_cxcywh(truth.xyxy[truth.frame == number])
             for x, y, w, h in boxes.T:
@@ -128,8 +128,8 @@ def ellipses(world: str, found: Mapping[str, Points], frames: Iterable[Frame], p
 
 
 def _size_near(boxes: F8, place: F8) -> tuple[float, float]:
-    """Width and height of the box (4, n) whose middle is the nearest to ``place``; a small one
-    without any.
+    """Width and height of the box (4, n) with its centre nearest to ``place``; a small size if
+    there is none.
     """
     if boxes.shape[1] == 0:
         return 10.0, 10.0
@@ -138,7 +138,9 @@ def _size_near(boxes: F8, place: F8) -> tuple[float, float]:
 
 
 def trajectories(world: str, found: Mapping[str, Points], path: Path) -> None:
-    """States of all frames over the true paths, a panel for each filter; colours are its labels."""
+    """Draw the states of all frames over the true paths, a panel for each filter, coloured by
+    label.
+    """
     plt = pyplot()
     truth = scene(world)
     figure, axes = plt.subplots(

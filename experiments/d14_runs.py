@@ -1,15 +1,15 @@
 """The runs behind D14's tables: SMC PHD and MCMC filters, and a Kalman filter per target, on
 centroids of people.
 
-Every filter is given the same centroids, made of a truth with Gaussian noise, and D14's model
-(preset ``d14``): constant velocity, process variance 2 on every component, the measurement's own
-variance. The MCMC filters and the Kalman filters are given the identity of each measurement, as in
-D14; the PHD filter is not. States are mapped to the truth one to one within `GATE` pixels.
+All filters get the same centroids, true ones with Gaussian noise, and D14's model (preset ``d14``):
+constant velocity, process variance 2 on every component, the measurement's own variance. The MCMC
+and Kalman filters also get the identity of each measurement, as in D14; the PHD filter does not.
+States are mapped to the truth one to one within `GATE` pixels.
 
-What the Kalman filter per target gives is the exact mean of the posterior of given associations:
-the MCMC sampler's error against it is the sampler's own. Three worlds: points drawn from D14's
-model, where that mean is the best there is; the simulated corridor; the annotated people of a
-CAVIAR sequence.
+The Kalman filter per target gives the exact posterior mean for known associations; the distance to
+it is the sampling error of the MCMC filter. Three worlds: points drawn from D14's model, for which
+this mean is the optimal estimate; the simulated corridor; the annotated people of a CAVIAR
+sequence.
 """
 
 from __future__ import annotations
@@ -108,8 +108,8 @@ class RunErrors:
 
 @lru_cache(maxsize=4)
 def scene(world: str, seed: int = 0) -> Truth:
-    """The truth: of points drawn from D14's model, of the simulated corridor, or the annotated
-    people of CAVIAR's.
+    """The truth: points drawn from D14's model, the simulated corridor, or the annotated people of
+    CAVIAR.
     """
     if world == "model":
         model = stages_of(CorridorRun(world, KALMAN, 0, 1.0, seed)).model
@@ -119,15 +119,13 @@ def scene(world: str, seed: int = 0) -> Truth:
 
 
 def scans_of(job: CorridorRun) -> tuple[F8, ...]:
-    """The measurements (3, n) of every frame, named."""
+    """The measurements (3, n) of every frame, with identities."""
     rng = np.random.default_rng([job.seed, round(100 * job.variance)])
     return measured(scene(job.world, job.seed), INFOS[job.world].frames, job.variance, rng)
 
 
 def stages_of(job: CorridorRun) -> AnyStages:
-    """The stages of a run; those of the Kalman filter are the PHD filter's, whose model it
-    takes.
-    """
+    """The stages of a run; for the Kalman filter those of the PHD filter, whose model it uses."""
     stages = config.build(
         config.load(None, (f"sensor.noise_variance={job.variance}",), "d14"), INFOS[job.world]
     )
@@ -147,9 +145,7 @@ def stages_of(job: CorridorRun) -> AnyStages:
 
 
 def track(job: CorridorRun) -> tuple[Points, float]:
-    """The states that the filter of a job reports, and the seconds of processor time that it
-    took.
-    """
+    """The states that the filter of a job reports, and the seconds of processor time."""
     scans = scans_of(job)
     stages = stages_of(job)
     began = time.thread_time()
@@ -173,10 +169,9 @@ def track(job: CorridorRun) -> tuple[Points, float]:
 
 
 def kalman(model: Model, scans: Sequence[F8]) -> Points:
-    """Means of the exact posterior where the associations are given: a Kalman filter for every
-    target.
+    """Means of the exact posterior for known associations: a Kalman filter for every target.
 
-    A target starts at its first measurement with what the sensor knows from it.
+    A target starts at its first measurement, with the state and covariance that this implies.
     """
     rows = list(model.sensor.observed)
     mean = np.zeros((4, 0))
@@ -213,7 +208,7 @@ def updated(model: Model, rows: list[int], mean: F8, cov: F8, z: F8) -> tuple[F8
 
 
 def posterior_deviation(variance: float) -> float:
-    """The deviation of a coordinate that the Kalman filter of D14's model settles at, pixels."""
+    """Steady-state deviation of a coordinate in the Kalman filter of D14's model, pixels."""
     model = stages_of(CorridorRun("corridor", KALMAN, 0, variance, 0)).model
     mean = np.zeros((4, 1))
     z = np.zeros((3, 1))
@@ -225,7 +220,7 @@ def posterior_deviation(variance: float) -> float:
 
 
 def work(job: CorridorRun) -> RunErrors:
-    """One run and its errors."""
+    """The errors of one run."""
     found, seconds = track(job)
     exact, _ = track(CorridorRun(job.world, KALMAN, 0, job.variance, job.seed))
     truth = scene(job.world, job.seed)
@@ -272,8 +267,8 @@ def seeds_of(world: str, seeds: int) -> int:
 
 
 def jobs_of(numbers: Sequence[int], seeds: int) -> list[CorridorRun]:
-    """Every filter in every setting; seed by seed, so that a run that is broken off has whole
-    ones.
+    """Every filter in every setting, seed by seed, so that an interrupted run has complete
+    seeds.
     """
     filters = [(name, number) for number in numbers for name in FILTERS] + [(KALMAN, 0)]
     return [

@@ -1,5 +1,5 @@
-"""Delays from an object's first detection to its first mapped output, by which M09 compares birth
-models.
+"""Delays from an object's first detection to its first mapped output, as M09 uses them to compare
+birth models.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ class Delays:
     """Per object: ``identity`` (G,) ascending, the first frames ``detected`` and ``mapped`` (G,), 0
     for never, and ``delay`` (G,).
 
-    ``delay`` is mapped − detected in frames, negative where the output came first, NaN where either
-    never came.
+    ``delay`` is mapped − detected in frames, negative if the output came first, NaN if either is
+    missing.
     """
 
     identity: I8
@@ -34,7 +34,7 @@ def first_output_delays(
     """The number of frames from each annotated object's first detection to its first mapped output
     row.
 
-    Distractors do not count. A detection or an output row is an object's where they overlap by
+    Distractors do not count. A detection or an output row belongs to an object if they overlap by
     ``iou``.
     """
     sequence = pair_frames(truth, tracks)

@@ -1,23 +1,23 @@
-"""E13 on its own sequence: people counted on the ground plane with a detector that misses three of
+"""E13 on its own sequence: counting people on the ground plane with a detector that misses three of
 ten.
 
-PETS 2009 S1L1, time 13-57, view 1: the truth is known, E13's detections are not, so they are made
-from the truth. The drop model was fixed before any filter was run, and no parameter was chosen by
-the outcome:
+PETS 2009 S1L1, time 13-57, view 1: the truth is public, E13's detections are not, so they are
+simulated from the truth. The drop model was fixed before any filter was run, and no parameter was
+tuned on the outcome:
 
-* a person of whom a nearer box covers the part c is detected with probability 0.95 (1 − 0.75 c),
+* a person with the share c covered by a nearer box is detected with probability 0.95 (1 − 0.75 c),
   which is 0.69 on average (E13 states 0.7);
 * boxes are jittered by 10 % of the width across, 5 % of the height down (their foot) and 5 % in
   size;
 * clutter is Poisson, 0.1 or 1 box a frame, boxes of the truth's sizes standing anywhere on the
   ground that people walk on.
 
-E13's parameters throughout. ``occlusion`` lets p_D fall where other targets cover a person, from
-0.95 for one who is free, as the detector has it. ``rates`` replaces E13's places of birth (0.011
-people a frame; 0.2 a frame come) and its clutter density (about 10⁻⁵ a frame) by what is true of
-the scene, births anywhere, and R by each detection's own covariance: the cardinalised filter takes
-rates at their word. People are counted as the intensity's mass, E13's head count, and as the states
-extracted. Groups are those of E13's rule (2 m, 1 m/s).
+All other parameters are E13's. With ``occlusion``, p_D is 0.95 for a visible person, as in the
+detector, and falls with the share covered by other targets. ``rates`` replaces E13's birth places
+(0.011 people a frame; 0.2 a frame arrive) and its clutter density (about 10⁻⁵ a frame) by the true
+rates of the scene with births anywhere, and R by each detection's own covariance: the cardinalised
+filter depends on correct rates. People are counted by the intensity's mass, E13's head count, and
+by the extracted states. Groups are those of E13's rule (2 m, 1 m/s).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ CLUTTER = (0.1, 1.0)
 PICTURED = (10, 40, 80, 120)
 FREE = 0.95
 FALL = 0.75
-# What each filter changes of the preset e13.
+# The changes of each filter to the preset e13.
 AWARE = ("sensor.occlusion=true", f"sensor.detection_probability={FREE}")
 # The ground that the people of the sequence walk on, metres.
 REGION = "camera.region=[-16.0, -18.0, -3.0, 10.0]"
@@ -114,8 +114,8 @@ def feet(xyxy: F8) -> F8:
 
 
 def covered(xyxy: F8) -> F8:
-    """(n,) the largest part of each box that one nearer box of the frame covers; nearer is whose
-    foot is lower.
+    """(n,) the largest share of each box covered by one nearer box of the frame; a nearer box has a
+    lower bottom edge.
     """
     shared = intersection(xyxy, xyxy) * (xyxy[:, 3] > xyxy[:, None, 3])
     part: F8 = (shared / area(xyxy)[:, None]).max(axis=1, initial=0.0)
@@ -194,7 +194,7 @@ def true_groups() -> tuple[F8, dict[int, Groups], dict[int, GaussianMixture]]:
     """Number of groups that E13's rule finds in the true positions by frame; groups and people of
     the pictured frames.
 
-    Velocities are the slopes of straight lines through a person's positions within half a second.
+    Velocities are slopes of lines fitted to a person's positions within half a second.
     """
     camera = read_camera(camera_file())
     annotated = truth()
@@ -317,7 +317,7 @@ def _own_filter(
 
 
 def recall() -> float:
-    """The share of the annotated people whom the drop model detects, expected."""
+    """The expected share of the annotated people that the drop model detects."""
     annotated = truth()
     boxes = [annotated.xyxy[annotated.frame == number] for number in np.unique(annotated.frame)]
     return float(np.concatenate([FREE * (1 - FALL * covered(each)) for each in boxes]).mean())
@@ -331,8 +331,8 @@ def pictures(
     true: Mapping[int, GaussianMixture],
     out: Path,
 ) -> None:
-    """E13's two figures: counts over time, and contours with truth and detections on the ground at
-    the pictured frames.
+    """Draw E13's two figures: counts over time, and contours with truth and detections on the
+    ground at the pictured frames.
     """
     plt = pyplot()
     job = CrowdRun("GM-PHD", CLUTTER[0], 0)

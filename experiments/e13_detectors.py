@@ -21,7 +21,7 @@ SEQUENCE = "PETS09-S2L1"
 DETECTORS = ("public", "frcnn", "person")
 # Cut-off of OSPA, metres.
 CUTOFF = 2.0
-# Births anywhere, one in three seconds, a false alarm a frame on the ground, today's p_D, each
+# Births anywhere, one in three seconds, a false alarm a frame on the ground, a current p_D, each
 # detection's noise.
 ANYWHERE = (
     "birth.kind=ground",
@@ -61,7 +61,7 @@ def detections(kind: str) -> DetectionTable:
 
 
 def work(job: tuple[str, DetectionTable]) -> Crowd:
-    """A filter by its name over the sequence with these detections, scored on the ground."""
+    """Run a filter on the sequence with these detections, and score it on the ground."""
     kind, sets = FILTERS[job[0]]
     table_ = job[1]
     case = mot15(SEQUENCE, "public")
@@ -73,8 +73,8 @@ def work(job: tuple[str, DetectionTable]) -> Crowd:
     low = place.min(axis=1)
     high = place.max(axis=1)
     region = f"camera.region=[{low[0]}, {low[1]}, {high[0]}, {high[1]}]"
-    given = (f"camera.file={file}", "camera.first_pixel=1", *((region,) if sets else ()))
-    stages = config.build(config.load(None, (*given, *sets), "e13"), case.info, kind)
+    camera_settings = (f"camera.file={file}", "camera.first_pixel=1", *((region,) if sets else ()))
+    stages = config.build(config.load(None, (*camera_settings, *sets), "e13"), case.info, kind)
     rng = np.random.default_rng(1)
     rows = []
     state = pipeline.start(stages, rng)
@@ -93,7 +93,7 @@ def work(job: tuple[str, DetectionTable]) -> Crowd:
 
 
 def section(options: Options) -> str:
-    """Measure; the section of the page."""
+    """Measure; return the section of the page."""
     kinds = DETECTORS[: 1 if options.quick else None]
     tables = dict(
         zip(kinds, in_parallel(detections, kinds, "e13, detecting", options), strict=True)

@@ -2,14 +2,13 @@
 [--out FILE.json]``.
 
 Small valid samples are changed (bits, cuts, doubled spans, huge numbers, deep nesting, wrong
-types), some inputs are random bytes. Each is read in a child process. Good is what is read, and
-what is refused by `InputError`. A finding is any other exception (warnings count), a process that
-dies, one that takes longer than the limit for an input, or more memory than the bound. Its input is
-kept, in a file that the report names (its first byte is the number of the sample); index and seed
-make it again.
+types), some inputs are random bytes. Each is read in a child process. An input passes if it is read
+or refused with `InputError`. A finding is any other exception (warnings count), a process that
+dies, exceeds the time limit of an input, or the memory limit. Its input is kept in a file named in
+the report (its first byte is the number of the sample); index and seed reproduce it.
 
-A campaign that was stopped goes on where its report says, with one process. `campaign` does all
-this for anything that makes bytes and reads them.
+A stopped campaign continues from its report, with one process. `campaign` works for any pair of
+functions that make bytes and read them.
 """
 
 from __future__ import annotations
@@ -41,17 +40,17 @@ from phdtrack.errors import InputError
 Make = Callable[[random.Random], bytes]
 Try = Callable[[bytes], object]
 ROOT = Path(__file__).resolve().parents[1]
-# What a child tells about itself: index, when it began, and how many it accepted, refused, failed
-# on.
+# State of a child: index, start time, and numbers of accepted, refused and failed inputs, slowest
+# time.
 _STATE = struct.Struct("<qdqqqd")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
-# Inputs that one child reads; then a fresh one goes on.
+# Inputs per child; then a fresh one continues.
 _BLOCK = 20_000
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Seconds for one input, and bytes of memory beyond what a child begins with."""
+    """Seconds for one input, and bytes of memory beyond the initial use of a child."""
 
     seconds: float = 10.0
     memory: int = 1 << 30
@@ -70,7 +69,7 @@ class Finding:
 
 @dataclass(slots=True)
 class _Child:
-    """A process, the first index that it does not read, what it says, and its state."""
+    """A process, the end of its span of inputs, the pipe of its messages, and its state."""
 
     process: Any
     end: int
@@ -80,8 +79,8 @@ class _Child:
     suspect: int = -1
 
     def read(self) -> tuple[int, float, int, int, int, float]:
-        """Index, the time when it was begun, numbers of accepted, refused and failed, longest
-        time.
+        """Index of the current input and its start time; numbers of accepted, refused and failed
+        inputs; longest time.
         """
         found: tuple[int, float, int, int, int, float] = _STATE.unpack_from(self.state)
         return found
@@ -115,7 +114,7 @@ class Report:
 
     @classmethod
     def of(cls, file: Path, family: str, seed: int, bounds: Limits) -> Report | None:
-        """The report in a file on the same campaign; None if it has none."""
+        """The report of the same campaign in a file; None if there is none."""
         try:
             known = json.loads(file.read_text(encoding="utf-8"))
             limits = Limits(**known.pop("limits"))
@@ -138,7 +137,7 @@ class Report:
 
 
 def random_of(seed: int, index: int) -> random.Random:
-    """The randomness of one input."""
+    """The random generator of one input."""
     return random.Random(seed * 1_000_003_000_003 + index)
 
 
@@ -150,10 +149,10 @@ def _rss(pid: int) -> int:
 
 
 def tell(state: Any, *values: float) -> None:
-    """Write what a child tells, all at once.
+    """Write the state of a child in one assignment.
 
-    ``pack_into`` fills the place with 0 first: a child that has to wait just then seems to have
-    begun long ago, for as long as it waits, and is taken for one that hangs.
+    ``pack_into`` first fills the buffer with 0: a child that is paused just then would seem to have
+    begun long ago, and would be taken for a hanging one.
     """
     state[:] = _STATE.pack(*values)
 
@@ -167,7 +166,7 @@ def _child(
     says: Any,
     state: mmap.mmap,
 ) -> None:
-    """Read the inputs of a span; what is wrong with one is said, and the next one is read."""
+    """Read a span of inputs; report each failure and continue with the next input."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     virtual = int(Path("/proc/self/statm").read_text().split()[0]) * _PAGE
     resource.setrlimit(resource.RLIMIT_AS, (virtual + 2 * limits.memory,) * 2)
@@ -219,20 +218,19 @@ def campaign(
     progress: Callable[[Report], None] = lambda report: None,
     begun: Report | None = None,
 ) -> Report:
-    """Read ``inputs`` inputs, and say what came of them.
+    """Read ``inputs`` inputs, and report the results.
 
     Parameters
     ----------
     family : name, for the report.
     make_inputs : the bytes of one input from its randomness; runs in the child and must not fail.
-    try_one : reads them; returns where they are accepted, raises `InputError` where they are
-        refused. It runs in a process of its own that has been forked: it may start threads, this
-        process must not have any.
-    inputs, seed, jobs : how many; of the randomness; processes side by side.
+    try_one : reads them; returns if they are accepted, raises `InputError` if they are refused. It
+        runs in a forked process: it may start threads, but this process must not have any.
+    inputs, seed, jobs : number of inputs; seed; number of parallel processes.
     limits : for each input.
-    kept : the folder for inputs that were findings; None: a temporary one.
-    progress : called whenever a child has ended.
-    begun : what an earlier campaign came to that this one goes on with.
+    kept : folder for the inputs of findings; None: a temporary one.
+    progress : called after each child.
+    begun : report of an earlier campaign to continue.
 
     Returns
     -------
@@ -257,8 +255,8 @@ def campaign(
         report.findings[f"{kind} {key}"] = Finding(kind, what, index, str(file))
 
     def ended(child: _Child, kind: str = "", what: str = "") -> None:
-        """Count what it did; where it did not come to its end another one goes on after the input
-        that it ended at.
+        """Count the results of a child; after a failure, queue the inputs after the one at which it
+        ended.
         """
         index, _, accepted, refused, failed, slowest = child.read()
         report.accepted = report.accepted + accepted
@@ -304,7 +302,7 @@ def _watch(
     found: Callable[..., None],
     ended: Callable[..., None],
 ) -> None:
-    """Hear what a child says, and end it where it takes too long or too much."""
+    """Read the messages of a child, and end it if it exceeds time or memory."""
     done = False
     try:
         while child.says.poll():
@@ -324,7 +322,7 @@ def _watch(
     index, since, *_ = child.read()
     child.base = child.base or used
     report.memory = max(report.memory, used - child.base)
-    # What is read while the child writes may be of two inputs: it counts when it is read twice.
+    # A state read while the child writes may mix two inputs, so it must be read twice.
     slow = time.monotonic() - since > limits.seconds
     large = used - child.base > limits.memory
     late = slow and child.suspect == index
@@ -421,7 +419,9 @@ _NUMBER = re.compile(rb"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 def mutated(samples: Sequence[bytes], rng: random.Random) -> bytes:
-    """The number of one of the samples, and its content with a few changes; rarely random bytes."""
+    """A byte with the number of a sample, and the sample with a few changes; rarely random
+    bytes.
+    """
     which = rng.randrange(len(samples))
     content = (
         bytearray(samples[which])
@@ -439,7 +439,7 @@ def _span(content: bytearray, rng: random.Random) -> tuple[int, int]:
 
 
 def flip(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
-    """A bit, or a byte."""
+    """Flip a bit, or change a byte."""
     if content:
         at = rng.randrange(len(content))
         content[at] = (
@@ -451,25 +451,25 @@ def flip(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearra
 
 
 def cut(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
-    """The end is missing."""
+    """Remove the end."""
     return content[: rng.randrange(len(content) + 1)]
 
 
 def drop(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
-    """A span is missing."""
+    """Remove a span."""
     start, end = _span(content, rng)
     return content[:start] + content[end:]
 
 
 def double(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
-    """A span comes again."""
+    """Repeat a span."""
     start, end = _span(content, rng)
     times = rng.choice((1, 1, 1, 2, 10, 1000)) if end - start < 100 else 1
     return content[:end] + content[start:end] * times + content[end:]
 
 
 def number(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
-    """A number is another one."""
+    """Replace a number by another."""
     found = [m.span() for m in _NUMBER.finditer(content)]
     if not found:
         return content
@@ -478,19 +478,19 @@ def number(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytear
 
 
 def word(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
-    """Something that means something comes in between."""
+    """Insert a token that has a meaning in some format."""
     at = rng.randrange(len(content) + 1)
     return content[:at] + rng.choice(WORDS) + content[at:]
 
 
 def splice(content: bytearray, rng: random.Random, samples: Sequence[bytes]) -> bytearray:
-    """The beginning of one and the end of another."""
+    """Join the beginning of one sample and the end of another."""
     other = rng.choice(samples)
     return content[: rng.randrange(len(content) + 1)] + other[rng.randrange(len(other) + 1) :]
 
 
 def swap(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
-    """Two lines change places."""
+    """Exchange two lines."""
     lines = content.split(b"\n")
     i = rng.randrange(len(lines))
     j = rng.randrange(len(lines))
@@ -499,7 +499,7 @@ def swap(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearra
 
 
 def deep(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
-    """Nesting without end, rarely: it takes long to read."""
+    """Insert very deep nesting, rarely: it takes long to read."""
     if rng.random() > 0.05:
         return flip(content, rng, ())
     at = rng.randrange(len(content) + 1)
@@ -582,7 +582,7 @@ Sample = tuple[str | bytes, Callable[[Path], object]]
 
 
 def in_file(content: bytes, suffix: str) -> Path:
-    """A file of this process with the content; in memory where the system has such a folder."""
+    """A file of this process with the content; in memory if the system has such a folder."""
     path = _shared() / f"phdtrack-fuzz-{os.getpid()}{suffix}"
     with open(path, "wb", buffering=0) as file:
         file.write(content)
@@ -595,7 +595,7 @@ def _shared() -> Path:
 
 
 def reading(samples: Sequence[Sample], suffix: str) -> tuple[list[bytes], Try]:
-    """The contents of samples, and what reads what `mutated` makes of them: each with the reader of
+    """The contents of samples, and a function that reads the output of `mutated` with the reader of
     its sample.
     """
 
@@ -865,8 +865,8 @@ def _watched(path: Path) -> None:
 
 @cache
 def _clips() -> tuple[bytes, ...]:
-    """Short clips of several containers and codecs, made by a process of their own: encoders start
-    threads.
+    """Short clips of several containers and codecs, made in a separate process, because encoders
+    start threads.
     """
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -920,7 +920,7 @@ def write(file: Path, report: Report) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; 1 where there are findings."""
+    """Run the command; the exit status is 1 if there are findings."""
     out = argparse.ArgumentParser(prog="python -m experiments.fuzz", description=__doc__)
     out.add_argument("family", choices=[*FAMILIES, "all"])
     out.add_argument("--inputs", type=int, default=1000, metavar="N")
@@ -932,25 +932,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out.add_argument(
         "--out", type=Path, metavar="PATH", help="FILE.json, or a folder; default: runs/reliability"
     )
-    given = out.parse_args(arguments)
+    parsed = out.parse_args(arguments)
     worst = 0
-    limits = Limits(given.seconds)
-    for family in FAMILIES if given.family == "all" else [given.family]:
+    limits = Limits(parsed.seconds)
+    for family in FAMILIES if parsed.family == "all" else [parsed.family]:
         samples, try_one = FAMILIES[family]()
-        file = given.out or ROOT / "runs" / "reliability"
+        file = parsed.out or ROOT / "runs" / "reliability"
         file = file if file.suffix == ".json" else file / f"fuzz-{family}.json"
         file.parent.mkdir(parents=True, exist_ok=True)
         report = campaign(
             family,
             partial(mutated, samples),
             try_one,
-            inputs=given.inputs,
-            seed=given.seed,
-            jobs=given.jobs,
+            inputs=parsed.inputs,
+            seed=parsed.seed,
+            jobs=parsed.jobs,
             kept=file.parent / "fuzz-findings",
             progress=partial(write, file),
             limits=limits,
-            begun=Report.of(file, family, given.seed, limits) if given.jobs == 1 else None,
+            begun=Report.of(file, family, parsed.seed, limits) if parsed.jobs == 1 else None,
         )
         rate = report.done / max(report.seconds, 1e-9)
         print(

@@ -1,10 +1,10 @@
 """Damaged saved states: ``python -m experiments.fuzz_states [--inputs N] [--out FILE.json]``.
 
 Every filter tracks a few frames of several targets and clutter, some with classes, an output delay
-or a moving camera. What it saves is damaged: cut off, bits flipped, bytes inserted or exchanged,
-another format number. So is the checkpoint of a live camera. Each must be refused with a sentence
-and change nothing. A state of other settings must be refused, too, and one that is whole must
-load. The exit status is 1 if one of these fails.
+or a moving camera. Its saved states and the checkpoint of a live camera are damaged: cut off, bits
+flipped, bytes inserted or exchanged, another format number. Each must be refused with a message and
+change nothing. A state of other settings must be refused, too, and an intact one must load. The
+exit status is 1 if one of these fails.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def frame(k: int, rng: np.random.Generator, *, classes: bool) -> Detections:
 
 
 def tracker_of(name: str, frames: int = 0) -> Tracker:
-    """A tracker after so many frames."""
+    """A tracker after a number of frames."""
     tracker = Tracker(SIZE, seed=1, **SETTINGS[name])
     rng = np.random.default_rng(3)
     for k in range(frames):
@@ -74,7 +74,7 @@ def tracker_of(name: str, frames: int = 0) -> Tracker:
 
 
 def damaged(content: bytes, rng: random.Random) -> bytes:
-    """Other bytes than these."""
+    """A damaged copy of these bytes."""
     out = bytearray(content)
     at = rng.randrange(len(out))
     match rng.randrange(6):
@@ -85,7 +85,7 @@ def damaged(content: bytes, rng: random.Random) -> bytes:
         case 2:
             out[at:at] = rng.randbytes(rng.choice((1, 8, 1000)))
         case 3:
-            # The header, most often.
+            # Mostly in the header.
             out[rng.randrange(min(32, len(out)))] ^= 1 << rng.randrange(8)
         case 4:
             out += content
@@ -97,7 +97,7 @@ def damaged(content: bytes, rng: random.Random) -> bytes:
 
 
 def refusal(attempt: Callable[[], object]) -> str:
-    """The sentence with which it is refused, without its place; empty if it is not."""
+    """The error message without its place; empty if the state was accepted."""
     try:
         attempt()
     except InputError as error:
@@ -108,8 +108,8 @@ def refusal(attempt: Callable[[], object]) -> str:
 def tracker_states(
     name: str, others: dict[str, Tracker], inputs: int, rng: random.Random
 ) -> Counter[str]:
-    """How often damaged states of these settings, and states loaded by ``others``, are refused, by
-    sentence.
+    """Numbers of refusals by message, for damaged states of these settings and for states loaded by
+    ``others``.
     """
     tracker = tracker_of(name, FRAMES)
     saved = tracker.state_dict()
@@ -128,7 +128,7 @@ def tracker_states(
 
 
 def live_checkpoints(folder: Path, inputs: int, rng: random.Random) -> Counter[str]:
-    """How often damaged checkpoints of a live camera are refused, by sentence."""
+    """Numbers of refusals of damaged checkpoints of a live camera, by message."""
     maps = np.zeros((4, 6))
     camera = SavedCamera(9, 0.3, 1.8e9, (), WatchState(), (), maps, maps, 0.3, np.zeros((0, 4)))
     key = key_of({"filter.kind": "pmb"}, *SIZE)

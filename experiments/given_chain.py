@@ -13,16 +13,16 @@ from numba import njit
 from phdtrack.kernels.particle_models import BLOCK, distance, move, normals, prepare, seen
 from phdtrack.types import F8, I8
 
-# Rows of the counts: what a step proposed.
+# Rows of the counts: the kind of proposal.
 REDRAW, ANCESTOR = range(2)
 
 
 class Chain(NamedTuple):
     """Settings of a chain.
 
-    ``burn`` steps before the first that is kept, one of every ``thin``, until ``samples`` are kept;
-    ``share`` of steps that propose another ancestor; whether all targets of a sample have a
-    ``joint`` ancestor, and whether acceptance is ``greedy`` [D14 Alg. 1].
+    ``burn`` steps before the first kept sample, then one of every ``thin`` steps until ``samples``
+    are kept; ``share`` of steps that propose another ancestor; whether all targets of a sample have
+    a ``joint`` ancestor, and whether acceptance is ``greedy`` [D14 Alg. 1].
     """
 
     burn: int
@@ -36,9 +36,9 @@ class Chain(NamedTuple):
 class Ancestors(NamedTuple):
     """The possible ancestors of targets.
 
-    ``origin`` (d, n·M): the M states of each of n targets in the frame before, those of a target
-    side by side. ``running``, ``log`` (k, M): the laws by which ancestors are proposed, for all
-    targets together (k = 1) or for each (k = n): sums of their probabilities, and their logarithms.
+    ``origin`` (d, n·M): the M states of each of n targets in the previous frame, grouped by target.
+    ``running``, ``log`` (k, M): proposal distribution of ancestors, for all targets together (k =
+    1) or for each (k = n): cumulative probabilities, and their logarithms.
     """
 
     origin: F8
@@ -71,7 +71,7 @@ def _draw(
 
 @njit(error_model="numpy")
 def _ancestor(ancestors: Ancestors, law: int, rng: np.random.Generator) -> int:
-    """A draw of an ancestor by its law."""
+    """An ancestor drawn from its proposal distribution."""
     running = ancestors.running[law]
     return int(np.searchsorted(running, rng.random() * running[-1], side="right"))
 
@@ -86,20 +86,20 @@ def given_chain(
     rng: np.random.Generator,
     kept: F8,
 ) -> I8:
-    """Samples of targets whose measurements are known, from the samples of the frame before [D14
+    """Samples of targets whose measurements are known, from the samples of the previous frame [D14
     Alg. 1].
 
     Parameters
     ----------
     motion, sensor : records of `kernels.particle_models`.
     table : (k, n) measurement of each target, as the sensor has it.
-    ancestors : what targets come from.
-    chain : how it runs.
-    kept : (d, n·N) is filled with the kept samples.
+    ancestors : the states of the previous frame.
+    chain : its settings.
+    kept : (d, n·N) receives the kept samples.
 
     Returns
     -------
-    (2, 2) proposed and accepted, of redraws of one target (first row) and of changes of the common
+    (2, 2) proposed and accepted: redraws of one target (first row) and changes of the common
     ancestor.
     """
     n = table.shape[1]
@@ -121,8 +121,8 @@ def given_chain(
             fit[1, t] = _draw(
                 (motion, sensor, table), ancestors, t, ancestor[1, t], scratch, rng, x[1, t]
             )
-            # Alg. 1's weight is the likelihood: where a ratio takes its place, a common factor does
-            # not cancel.
+            # Alg. 1's weight is the likelihood: if a ratio replaces it, a common factor does not
+            # cancel.
             fit[1, t] -= 0.0 if chain.joint or chain.greedy else ancestors.log[t, ancestor[1, t]]
             gain += fit[1, t] - fit[0, t]
         accepted = step < 0

@@ -1,23 +1,23 @@
 """D14's Metropolis–Hastings filter with known associations of measurements and targets [D14 Alg. 1,
 K05].
 
-The last row of z is a target's label. With the samples x^r of the frame before, what is sampled is
-(r, x) jointly,
+The last row of z is a target's label. With the samples x^r of the previous frame, (r, x) is sampled
+jointly,
 
     p(r, x | z) ∝ Π_t f(x_t | x_t^r) g(z_t | x_t)
 
-whose marginal of x is the posterior of the mixture over all samples of the frame before. Two kinds
-of moves leave it as it is:
+The marginal of x is the posterior of the mixture over all samples of the previous frame. Two kinds
+of moves leave this density invariant:
 
-* redraw: for one target, x_t' ~ f(·|x_t^r). What is left of the Hastings ratio is g(z_t|x_t') /
-  g(z_t|x_t).
-* another ancestor: r' ~ q, and all targets anew from f(·|x^r'). The ratio is that of Π g / q(r).
+* redraw: for one target, x_t' ~ f(·|x_t^r). The Hastings ratio reduces to g(z_t|x_t') / g(z_t|x_t).
+* another ancestor: r' ~ q, and new states of all targets from f(·|x^r'). The ratio is that of Π g /
+  q(r).
 
-With ancestors of their own a target's r_t is redrawn along with it: the product of every target's
-own mixture [K05]. Few samples predict a precise measurement well, and of many targets hardly any
-does for all at once, so q knows the scan: q(r) ∝ Π_t p̂(z_t|x_t^r) with p̂ = N(z; H F x^r, H Q Hᵀ +
-R). A share of q is uniform. A target whose label is new has N draws about its measurement. There is
-no interaction: the labels keep targets apart.
+With separate ancestors, a target's r_t is redrawn along with it: the product of every target's own
+mixture [K05]. Few samples predict a precise measurement well, and hardly any does so for many
+targets at once, so q uses the scan: q(r) ∝ Π_t p̂(z_t|x_t^r) with p̂ = N(z; H F x^r, H Q Hᵀ + R). A
+share of q is uniform. A target whose label is new has N draws about its measurement. There is no
+interaction: the labels keep targets apart.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from phdtrack.filters.mcmc import JointSamples
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, GaussianMixture, UpdateInfo
 
-# Share of uniform proposals of ancestors among those that know the scan.
+# Share of uniform proposals of ancestors; the others use the scan.
 UNIFORM = 0.05
 
 
@@ -44,18 +44,17 @@ class GivenMCMC(Filter[JointSamples]):
 
     Parameters
     ----------
-    samples : N, joint samples that are kept of a frame's chain.
-    burn_in : B, steps before the first that is kept.
+    samples : N, joint samples kept from the chain of a frame.
+    burn_in : B, steps before the first kept sample.
     thin : steps for each kept sample.
-    ancestors : ``joint``: all targets of a sample come of the same sample of the frame before,
-        which moves of the chain exchange; the chain's law is the posterior of the mixture of all of
-        them. ``each``: every target has an ancestor of its own [K05], which takes what correlation
-        there was between targets for none.
+    ancestors : ``joint``: all targets of a sample have the same ancestor sample, which the chain
+        changes; the chain samples the posterior of the mixture of all ancestors. ``each``: every
+        target has its own ancestor [K05], which neglects correlation between targets.
     ancestor_move_probability : for ``joint``, the share of steps that propose another ancestor.
     greedy : D14's Alg. 1 as printed: only proposals of ratio 1 and above are accepted, and a
-        rejected one's ratio takes the place of the target's likelihood. That does not sample, and
-        because a likelihood is then compared with a ratio it depends on the unit of positions;
-        ancestors are ``each``, proposed all alike.
+        rejected one's ratio takes the place of the target's likelihood. This does not sample the
+        posterior, and because a likelihood is then compared with a ratio, it depends on the unit of
+        positions; ancestors are ``each``, proposed uniformly.
     """
 
     samples: PositiveCount = 1000
@@ -75,14 +74,14 @@ class GivenMCMC(Filter[JointSamples]):
     def predict(
         self, state: JointSamples, model: Model, dt: float, rng: np.random.Generator
     ) -> JointSamples:
-        """The samples of the frame before: the chain moves them by itself."""
+        """The samples of the previous frame, unchanged: the chain moves them."""
         return state
 
     def update(
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[JointSamples, UpdateInfo]:
-        """Samples of the targets that ``z`` (m, n), labelled in its last row, names, and of no
-        others.
+        """Samples of the targets whose labels are in the last row of ``z`` (m, n); all others have
+        left.
         """
         label = _labels(z)
         order = np.argsort(label, kind="stable")
@@ -113,8 +112,8 @@ class GivenMCMC(Filter[JointSamples]):
         )
 
     def _sampled(self, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator) -> F8:
-        """The kept samples (d, n, N) of targets with states ``origin`` (d, n, M) in the frame
-        before.
+        """The kept samples (d, n, N) of targets with states ``origin`` (d, n, M) in the previous
+        frame.
         """
         joint = self.ancestors == "joint" and not self.greedy
         fit = np.zeros(origin.shape[1:]) if self.greedy else _fits(origin, dt, z, model)
@@ -147,8 +146,8 @@ def _fits(origin: F8, dt: float, z: F8, model: Model) -> F8:
     """(n, M) log p̂(z|x^r) of the measurement of each target, up to a constant, from its states
     ``origin`` (d, n, M).
     """
-    # F and Q at the mean of each target's states: any law will do for proposals, and that of linear
-    # models is exact.
+    # F and Q at the mean of each target's states: any distribution will do for proposals, and it is
+    # exact for linear models.
     sensor = model.sensor
     mean = np.ascontiguousarray(origin.mean(axis=2))
     moved, step, noise = model.motion.transition(mean, dt)

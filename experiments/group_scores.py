@@ -1,13 +1,13 @@
 """Scores of groups: pairwise F1 of membership, and switches of groups' identities.
 
-Two people who are in a frame together are a pair; the pair is positive where both are of one group.
+Two people in the same frame are a pair, positive if both are in one group.
 
     F1 = 2 TP / (2 TP + FP + FN)    over the pairs of all frames
 
-People of output and truth are mapped one to one, within a distance. Pairs of annotated people of
-whom one was not found are missed (FN), and pairs of one output group with an unmapped member are
-false (FP). A group of the truth switches where the output identity that most of its members carry
-is not the last one.
+People of output and truth are mapped one to one, within a distance. A pair of annotated people is
+missed (FN) if one of them was not found; a pair of one output group is false (FP) if a member is
+unmapped. An annotated group switches if the output identity of most of its members differs from the
+last one.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ class LabelledFrame:
 
 @dataclass(frozen=True, slots=True)
 class GroupScores:
-    """Pairs of people rightly together, wrongly together and wrongly apart; and identity switches
-    of annotated groups.
+    """Pairs that are rightly together, wrongly together and wrongly apart; and identity switches of
+    annotated groups.
 
-    Precision, recall and F1 are NaN where they have no pair to count.
+    Precision, recall and F1 are NaN without pairs to count.
     """
 
     true_positives: int = 0
@@ -65,7 +65,7 @@ class GroupScores:
 
 
 def score_groups(frames: Iterable[LabelledFrame], within: float = 1.0) -> GroupScores:
-    """The scores of a sequence; people are mapped where they are closer than ``within`` metres."""
+    """The scores of a sequence; people are mapped if they are closer than ``within`` metres."""
     sums = np.zeros(3, np.int64)
     switches = 0
     last = dict[int, int]()
@@ -86,8 +86,8 @@ def score_groups(frames: Iterable[LabelledFrame], within: float = 1.0) -> GroupS
 
 
 def nearest(a: F8, b: F8, within: float) -> tuple[I8, I8]:
-    """Columns of ``a`` (2, n) and ``b`` (2, m) mapped one to one: as many and as near as can be,
-    closer than ``within``.
+    """Columns of ``a`` (2, n) and ``b`` (2, m) mapped one to one, closer than ``within``: first as
+    many pairs as possible, then the least distance.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def nearest(a: F8, b: F8, within: float) -> tuple[I8, I8]:
 
 
 def _together(group: I8) -> Bool:
-    """(n, n) whether two people are of one group, each pair once."""
+    """(n, n) whether two people are in one group, each pair once."""
     return np.triu((group[:, None] == group) & (group > 0), k=1)
 
 

@@ -1,11 +1,11 @@
 """Annotated groups of pedestrians, found among true positions and from a filter, with a grid over
 both thresholds.
 
-seq_eth and zara01, people seen from above every 0.4 s. A detector is made of the annotated
-positions: noise of 0.2 m, one of ten missed, clutter Poisson over the ground that is walked on. The
-GM-PHD filter on the plane is given these rates and shipped settings else; it runs once a seed and
-its people are grouped under every pair of thresholds. No threshold is chosen: E13's own 2 m and 1
-m/s are marked.
+seq_eth and zara01, people seen from above every 0.4 s. Detections are simulated from the annotated
+positions: noise of 0.2 m, one of ten missed, Poisson clutter over the walked ground. The GM-PHD
+filter on the plane has these rates and default settings otherwise; it runs once per seed and its
+people are grouped under every pair of thresholds. No threshold is chosen: E13's own 2 m and 1 m/s
+are marked.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ NOISE = 0.2
 DETECTION = 0.9
 CLUTTER = 0.5
 MARGIN = 1.0
-# Parts of a sequence that are laid over each other for a crowd.
+# Parts of a sequence that are overlaid for a crowd.
 CROWD = 3
 # States farther than this from all true positions are false, metres.
 WITHIN = 1.0
@@ -125,10 +125,11 @@ class KnownPeople:
 
 @dataclass(frozen=True, slots=True)
 class GroupOutcome:
-    """``people``: how well each kind of them is known, by name; ``grid``: scores of frames under
-    each pair of thresholds; ``held``: those of lives under E13's thresholds, by kind of people with
-    an identity and hold; ``pairs``: of groups by pairs, by kind of people, and whether only what
-    was seen before counts."""
+    """``people``: accuracy of each kind of people, by name; ``grid``: scores of frames for each
+    pair of thresholds; ``held``: scores of groups over time with E13's thresholds, by kind of
+    people with an identity and hold time; ``pairs``: scores of groups by pairs, by kind of people,
+    and whether only past and present frames count.
+    """
 
     people: dict[str, KnownPeople]
     grid: dict[tuple[float, float], GroupScores]
@@ -149,7 +150,7 @@ class WalkedScene:
 
     @property
     def region(self) -> tuple[float, float, float, float]:
-        """Left, low, right and high border of the ground that is walked on, with a margin."""
+        """Left, low, right and high border of the walked ground, with a margin."""
         low = self.people.state[:2].min(axis=1) - MARGIN
         high = self.people.state[:2].max(axis=1) + MARGIN
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
@@ -168,8 +169,8 @@ class People:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """The estimates in one frame: Gaussians, and people by kind; the first kind is grouped frame by
-    frame, the others, which have identities, over time.
+    """The estimates in one frame: Gaussians, and people by kind; the first kind is grouped in each
+    frame alone, the others, which have identities, over time.
     """
 
     mixture: GaussianMixture
@@ -198,7 +199,7 @@ def scene(name: str) -> WalkedScene:
 
 
 def membership(identity: I8, groups: Sequence[Sequence[int]]) -> I8:
-    """(M,) the group from 1 of each identity, 0 where it is in none."""
+    """(M,) the group from 1 of each identity, 0 for none."""
     of = {who: number for number, group in enumerate(groups, start=1) for who in group}
     return np.array([of.get(who, 0) for who in identity.tolist()], np.int64)
 
@@ -220,13 +221,13 @@ def detected(
 
 
 def settings_of(where: WalkedScene) -> config.Settings:
-    """Shipped settings on the ground, with the detector's own rates."""
+    """Default settings on the ground, with the detector's own rates."""
     sets = (
         "motion.kind=plane",
         f"camera.region={list(where.region)}",
         f"sensor.detection_probability={DETECTION}",
         f"clutter.clutter_per_frame={CLUTTER}",
-        # What comes in metres has no boxes that could overlap.
+        # Detections in metres have no boxes that could overlap.
         "extract.merge_iou=1.0",
     )
     return config.load(None, sets)
@@ -247,8 +248,8 @@ def known(where: WalkedScene) -> list[Seen]:
 
 
 def filtered(where: WalkedScene, stages: AnyStages, lightest: float, seed: int) -> list[Seen]:
-    """Frames as the filter sees them: its extracted states, the confirmed online rows and the
-    corrected tracks.
+    """Frames from the filter: its extracted states, the confirmed online rows and the corrected
+    tracks.
     """
     drawn = np.random.default_rng([seed, 1])
     rng = np.random.default_rng(seed)
@@ -281,12 +282,12 @@ def _rows(rows: Tracks) -> tuple[I8, F8]:
 
 
 def middles(rows: Tracks) -> F8:
-    """(2, M) metres: where tracks stand, as detections in metres have it."""
+    """(2, M) positions of tracks of detections in metres: the centres of their boxes."""
     return np.stack([rows.xyxy[:, 0] + rows.xyxy[:, 2], rows.xyxy[:, 1] + rows.xyxy[:, 3]]) / 2
 
 
 def by_frame(where: WalkedScene, frames: Sequence[Seen], grouping: Grouping) -> GroupScores:
-    """Scores of the groups of each frame for itself."""
+    """Scores of groups found in each frame alone."""
     return score_groups(_clusters(where, frames, grouping), WITHIN)
 
 
@@ -347,7 +348,7 @@ def tracked(where: WalkedScene, seed: int) -> list[Walkers]:
 
 
 def known_walkers(where: WalkedScene) -> list[Walkers]:
-    """The people of every frame, all known."""
+    """The true people of every frame."""
     out = []
     for number, time in zip(where.number.tolist(), where.time.tolist(), strict=True):
         here = where.people.at(number)
@@ -356,7 +357,7 @@ def known_walkers(where: WalkedScene) -> list[Walkers]:
 
 
 def folded(where: WalkedScene, times: int) -> WalkedScene:
-    """A crowd: as many parts of the sequence at once, whose people are strangers to each other."""
+    """A crowd: parts of the sequence at the same time, whose people are strangers to each other."""
     length = len(where.number) // times
     people = where.people
     place = np.searchsorted(where.number, people.frame)
@@ -375,7 +376,7 @@ def folded(where: WalkedScene, times: int) -> WalkedScene:
 
 
 def by_pairs(where: WalkedScene, walkers: Sequence[Walkers], labels: Iterable[I8]) -> GroupScores:
-    """Scores of groups, ``labels`` (n,) of each frame, with the life cycle as shipped."""
+    """Scores of groups, ``labels`` (n,) of each frame, with the default life cycle."""
 
     def frames() -> Iterator[LabelledFrame]:
         state = LifeCycleState()
@@ -391,7 +392,7 @@ def by_pairs(where: WalkedScene, walkers: Sequence[Walkers], labels: Iterable[I8
 
 
 def online(walkers: Sequence[Walkers]) -> Iterator[I8]:
-    """The groups of each frame by what was seen so far."""
+    """The groups of each frame from past and present frames."""
     state = PairState()
     for here in walkers:
         state, label = Pairs().extend(state, here)
@@ -401,7 +402,7 @@ def online(walkers: Sequence[Walkers]) -> Iterator[I8]:
 def both(
     where: WalkedScene, kind: str, walkers: Sequence[Walkers]
 ) -> dict[tuple[str, str], GroupScores]:
-    """Scores of groups by pairs, with and without what is seen later."""
+    """Scores of groups by pairs, with and without later frames."""
     return {
         (kind, "so far"): by_pairs(where, walkers, online(walkers)),
         (kind, "all"): by_pairs(where, walkers, Pairs().over_time(walkers)),
@@ -435,7 +436,7 @@ def _truth(where: WalkedScene, k: int) -> tuple[I8, F8]:
 
 
 def _group(label: I8, carrier: I8) -> I8:
-    """(n,) the cluster from 1 of each person's Gaussian; 0 where there is none or its weight is too
+    """(n,) the cluster from 1 of each person's Gaussian; 0 if there is none or its weight is too
     low.
     """
     return np.where(carrier >= 0, np.append(label, -1)[carrier] + 1, 0)
@@ -456,7 +457,7 @@ def work(job: GroupRun) -> GroupOutcome:
         settings = settings_of(where)
         info = SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), job.sequence)
         stages = config.build(settings, info, "gm-phd")
-        # As the product: so low that one miss removes no one.
+        # As in the product: so low that one miss removes nobody.
         read = config.overlay(
             settings, {"filter": {"kind": "gm-phd"}, "groups": {"kind": "intensity"}}
         )
@@ -556,7 +557,7 @@ def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, obj
 def _sources(
     outcomes: dict[GroupRun, GroupOutcome], seeds: int
 ) -> list[tuple[str, str, list[GroupOutcome]]]:
-    """Sequence, where people come from, and the outcomes of all seeds."""
+    """Sequence, source of the people, and the outcomes of all seeds."""
     out = []
     for name in dict.fromkeys(job.sequence for job in outcomes):
         out.append((name, "true positions and velocities", [outcomes[GroupRun(name, -1)]]))
@@ -573,7 +574,7 @@ def _known_by(kind: str, found: Sequence[GroupOutcome]) -> list[str]:
 
 
 def _grid(found: Sequence[GroupOutcome]) -> str:
-    """F1, and precision and recall behind it, under each pair of thresholds; E13's own in bold."""
+    """F1, with precision and recall, for each pair of thresholds; E13's own in bold."""
     rows = []
     for near in NEAR:
         cells = []
@@ -612,6 +613,6 @@ def _size(name: str) -> tuple[object, ...]:
 
 
 def _pairs(group: I8) -> int:
-    """Number of pairs of one frame that are of one group."""
+    """Number of pairs in one frame that are in one group."""
     size = np.bincount(group[group > 0])
     return int((size * (size - 1)).sum()) // 2

@@ -1,12 +1,11 @@
-"""Runs that are killed at any moment and resumed: are their files those of a run that nothing
-stopped?
+"""Runs that are killed at any moment and resumed: are their files those of an uninterrupted run?
 
     python -m experiments.kills --kills 160 --stops 40 --seed 1
 
 Half of the runs read a video (change detector, camera motion, annotated video), half a file of
-detections. Each is started, ended by SIGKILL or SIGTERM at a time drawn uniformly from what a whole
-run takes, resumed, now and then ended once more, and resumed until it is complete. Then every file
-is compared with that of the run that nothing stopped, byte by byte.
+detections. Each is started, ended by SIGKILL or SIGTERM at a time drawn uniformly from the duration
+of a whole run, resumed, now and then ended again, and resumed until it is complete. Then every file
+is compared with that of the uninterrupted run, byte by byte.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ def clip(path: Path) -> None:
 
 
 def detections(path: Path) -> None:
-    """The same without pictures, with false alarms."""
+    """Write detections like those of the clip, with false alarms."""
     rng = np.random.default_rng(6)
     rows = list[str]()
     for k in range(1, 8 * _FRAMES):
@@ -59,7 +58,7 @@ def detections(path: Path) -> None:
 
 
 def started(words: list[str], out: Path, *more: str) -> subprocess.Popen[bytes]:
-    """A run in a process of its own."""
+    """Start a run in a separate process."""
     command = [
         sys.executable,
         "-m",
@@ -76,7 +75,7 @@ def started(words: list[str], out: Path, *more: str) -> subprocess.Popen[bytes]:
 
 
 def whole(words: list[str], out: Path) -> float:
-    """Run it to its end, twice, so that kernels are compiled; the seconds that the second took."""
+    """Run to the end, twice, so that kernels are compiled; return the seconds of the second run."""
     for _ in range(2):
         began = time.monotonic()
         run = started(words, out, "--overwrite")
@@ -93,7 +92,7 @@ def ended(
     seconds: float,
     rng: np.random.Generator,
 ) -> Counter[str]:
-    """End a run by a signal, resume it, and count what came of it."""
+    """End a run by a signal, resume it, and count the outcomes."""
     out = folder / "run"
     came = Counter[str]()
     more = ()
@@ -106,14 +105,14 @@ def ended(
             except subprocess.TimeoutExpired:
                 run.send_signal(number)
                 came[signal.Signals(number).name] += 1
-        _, said = run.communicate(timeout=_PATIENCE)
+        _, errors = run.communicate(timeout=_PATIENCE)
         if run.returncode == 0:
             break
         if not strike or run.returncode not in (-number, 128 + number):
             came["failed"] += 1
             print(
                 f"status {run.returncode} after {signal.Signals(number).name}:"
-                f" {said.decode()[-2000:]}",
+                f" {errors.decode()[-2000:]}",
                 flush=True,
             )
             break
@@ -131,15 +130,15 @@ def ended(
 
 
 def main() -> None:
-    """Run all, and write what came of them into a file."""
+    """Run everything, and write the counts into a file."""
     out = argparse.ArgumentParser(prog="python -m experiments.kills", description=__doc__)
     out.add_argument("--kills", type=int, default=160)
     out.add_argument("--stops", type=int, default=40)
     out.add_argument("--seed", type=int, default=1)
     out.add_argument("--out", type=Path, default=Path("runs/reliability"))
-    given = out.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    rng = np.random.default_rng(given.seed)
+    parsed = out.parse_args()
+    parsed.out.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(parsed.seed)
     result = dict[str, object]()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -148,24 +147,24 @@ def main() -> None:
         size = ["--frame-size", "200x120", "--fps", "25"]
         jobs = {"video": [str(folder / "clip.mp4"), "--camera-motion", "flow"]}
         jobs["detections"] = ["--detections", str(folder / "det.txt"), *size]
-        for what, words in jobs.items():
-            usual = folder / what
+        for kind, words in jobs.items():
+            usual = folder / kind
             total = Counter[str]()
             began = time.monotonic()
             seconds = whole(words, usual)
             for number, count in (
-                (signal.SIGKILL, given.kills // 2),
-                (signal.SIGTERM, given.stops // 2),
+                (signal.SIGKILL, parsed.kills // 2),
+                (signal.SIGTERM, parsed.stops // 2),
             ):
                 for _ in range(count):
                     total += ended(words, folder, usual, int(number), seconds, rng)
-            result[what] = {
+            result[kind] = {
                 "seconds of a run": seconds,
                 "seconds": time.monotonic() - began,
                 **total,
             }
-            print(what, result[what], flush=True)
-    (given.out / "kills.json").write_text(json.dumps(result, indent=1) + "\n")
+            print(kind, result[kind], flush=True)
+    (parsed.out / "kills.json").write_text(json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,22 +1,23 @@
-"""Delayed labelling: the decision some seconds later which detections were false alarms.
+"""Delayed labelling: decide some seconds later which detections were false alarms.
 
-At once a filter gives a detection the probability κ/(κ + C) to be a false alarm. To learn from that
-alone goes wrong: the first detections of a target that enters are doubted, so that entrances become
-places of false alarms and are doubted more; and a place that fires often is confirmed, so that it
-is never learned. Some seconds later, track evidence says more:
+At first a filter gives a detection the false-alarm probability κ/(κ + C). Learning from this alone
+fails: the first detections of an entering target have a high one, so that entrances are learned as
+places of false alarms; and frequent false alarms in one place are confirmed as a target, so that
+they are never learned. Some seconds later there is track evidence:
 
-* a detection on a track of an object, or where that track was before it began, is no false alarm;
+* a detection on a track of an object, or on its extrapolation before its beginning, is no false
+  alarm;
 * a detection on a track that was confirmed but is not an object is a false alarm;
-* any other detection is a false alarm with the probability that the filter gave it.
+* any other detection is a false alarm with the filter's probability.
 
 A confirmed track is an object if its detections have a standard deviation of 0.4 of its width or
-height, or if they came as often as p_D says: with h of n frames detected, if
+height, or if they are as frequent as p_D implies: with h of n frames detected, if
 
     h log(p_D/q) + (n − h) log((1 − p_D)/(1 − q)) > 0,     q = p_D/2
 
-which holds from h/n = 0.71 on for p_D = 0.9. A false alarm that returns in one place is detected in
-fewer frames and goes nowhere. An object that stands still and is detected in every second frame
-looks the same, and so does a place that fires in nine frames of ten look like an object.
+which holds from h/n = 0.71 on for p_D = 0.9. A repeated false alarm in one place is detected in
+fewer frames and does not move. A standing object that is detected in every second frame looks the
+same, and a false alarm in nine of ten frames looks like an object.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ from phdtrack.arrays import iou, to_cxcywh, to_xyxy
 from phdtrack.scene.training import first_state
 from phdtrack.types import F8, I8, Bool, Step, Tracks
 
-# Standard deviation of a track's centres, in its widths or heights, from which it has moved.
+# Standard deviation of a track's centres, in its widths or heights, above which it has moved.
 MOVED = 0.4
-# Overlap (intersection over union) from which a detection lies on a track.
+# Overlap (intersection over union) above which a detection lies on a track.
 ON_TRACK = 0.3
 # Frames before its first state through which a track is extrapolated back.
 BACK = 10
@@ -58,7 +59,7 @@ class TrackEvidence:
     sums: F8 = field(default_factory=lambda: np.zeros((6, 0)))
 
     def since(self, place: int) -> TrackEvidence:
-        """Without tracks that were last detected before ``place``."""
+        """Without tracks whose last detection is before ``place``."""
         kept = self.last >= place
         identity, first, last, hits = (
             column[kept] for column in (self.identity, self.first, self.last, self.hits)
@@ -89,16 +90,14 @@ class TrackEvidence:
         )
 
     def moved(self) -> Bool:
-        """(n,) whether each track has gone somewhere."""
+        """(n,) whether each track has moved."""
         mean, size, square = np.split(self.sums / self.hits, 3)
         return np.asarray(
             (square - np.square(mean) > np.square(MOVED * size)).any(axis=0), np.bool_
         )
 
     def objects(self, detection: float) -> Bool:
-        """(n,) whether each track is an object's, where objects are detected with this
-        probability.
-        """
+        """(n,) whether each track is an object's, for this detection probability."""
         p = min(max(detection, 0.01), 0.99)
         missed = self.last - self.first + 1 - self.hits
         often = self.hits * math.log(2) + missed * math.log((1 - p) / (1 - p / 2)) > 0
@@ -206,7 +205,9 @@ def label(pending: PendingFrames, until: float, detection: float) -> tuple[Pendi
 
 
 def _led_back(rows: Tracks, begun: I8, number: I8, time: F8) -> tuple[I8, F8]:
-    """Frame numbers and boxes where the tracks of the identities ``begun`` (B,) were before."""
+    """Frame numbers and boxes of the tracks ``begun`` (B,), extrapolated to frames before their
+    beginning.
+    """
     frames = [_NONE]
     boxes = [np.zeros((0, 4))]
     for identity in begun:

@@ -1,20 +1,20 @@
 """Learning p_D and the false-alarm rate while tracking, from the stream. A section of vo.md.
 
 **p_D** is the share of frames, from one detection of a track to its next, in which it was detected:
-n detections over g frames of tracks say n/Σg. Frames before the first and after the last detection
-of a track do not count, nor do tracks that never moved: a place that fires now and then must not
-teach how often objects are detected. **False alarms** are the sum of the probabilities of labelled
-detections to be false (`experiments.labelling`), and until they are labelled, those of the filter,
-so that a rate that is far off is corrected within a few frames. Both are means under a prior about
-the setting (Beta for p_D, Gamma for the rate) and are kept within limits.
+n detections over g frames of tracks give n/Σg. Frames before the first and after the last detection
+of a track do not count, nor do tracks that never moved: repeated false alarms in one place must not
+affect the estimate. **False alarms** are counted by the sum of the false-alarm probabilities of
+labelled detections (`experiments.labelling`), and until they are labelled, of the filter's, so that
+a very wrong rate is corrected within a few frames. Both are posterior means with a prior around the
+setting (Beta for p_D, Gamma for the rate), within limits.
 
-A track that breaks at a long gap hides the gap, so that p_D comes out too high; false alarms that
-return in one place pass for objects. *Cautious* estimates therefore only go to the other side: p_D
-below its setting, false alarms above theirs.
+A track that breaks at a long gap hides the gap, so p_D is estimated too high; repeated false alarms
+in one place are counted as objects. *Cautious* estimates therefore change only in the other
+direction: p_D below its setting, false alarms above theirs.
 
-Learned rates go into the model in steps of a few per cent, so that the parts of a model stay the
-same values for many frames and what is computed of them is computed once. In real videos both
-biases are larger than what is gained: vo.md has what is learned where all else is known.
+Learned rates go into the model in steps of a few per cent, so that the parts of a model keep their
+values for many frames and derived values are computed once. In real videos both biases are larger
+than the gain: vo.md shows the result if everything else is known.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from phdtrack.models.point import PointSensor
 from phdtrack.protocols import Learning, Model
 from phdtrack.types import F8, I8, Detections, Step
 
-# What the settings count for: frames of one track; frames; detections, where a rate is per
+# Weights of the settings as priors: frames of one track; frames; detections, if the rate is per
 # detection.
 PRIOR_TRACKED = 10.0
 PRIOR_FRAMES = 2.0
@@ -48,18 +48,17 @@ SHARE_LIMITS = (0.01, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class RatesSettings(Checked):
-    """Rates that are learned while tracking, beginning with the other settings. All are reported;
-    see which are used.
+    """Which rates are learned while tracking; they start at the other settings. All are reported.
 
     Parameters
     ----------
-    detection : use the p_D that is learned.
-    clutter : use the rate of false alarms that is learned.
-    cautious : use p_D only where it is lower, and the rate of false alarms only where it is higher,
-        than is set.
+    detection : use the learned p_D.
+    clutter : use the learned rate of false alarms.
+    cautious : use p_D only if it is lower, and the rate of false alarms only if it is higher, than
+        the setting.
     memory : seconds after which a frame counts for 37 %.
     verdict_delay : seconds until a detection is labelled, beyond ``associate.output_delay``.
-    update_interval : seconds between two times of learning.
+    update_interval : seconds between updates.
     """
 
     detection: bool = False
@@ -72,7 +71,7 @@ class RatesSettings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """The settings: p_D, and false alarms per frame, or per detection where ``each`` says so."""
+    """The settings: p_D, and false alarms per frame, or per detection if ``each`` is True."""
 
     detection: float
     clutter: float
@@ -143,7 +142,7 @@ class CountedTracks:
     span: F8 = field(default_factory=lambda: np.zeros(0))
 
     def updated(self, evidence: TrackEvidence) -> tuple[CountedTracks, RateSums]:
-        """The confirmed tracks that moved, and what they say beyond what was counted."""
+        """The confirmed tracks that moved, and their additional counts."""
         moved = evidence.confirmed & evidence.moved()
         identity = evidence.identity[moved]
         hits = (evidence.hits[moved] - 1).astype(np.float64)
@@ -182,12 +181,12 @@ class RatesLearning:
     delay: float
 
     def begin(self) -> LearnedRates:
-        """Knowing the settings."""
+        """The state before the first frame: the settings."""
         return LearnedRates(RateSums().rates(self.priors))
 
     def advance(self, state: LearnedRates, step: Step) -> LearnedRates:
-        """Take in one frame, and learn when it is time to. Frames that were not observed teach
-        nothing.
+        """Process one frame, and update the rates if it is time to. Unobserved frames are
+        ignored.
         """
         state = replace(state, pending=state.pending.joined(step))
         if math.isnan(state.learned):
@@ -234,13 +233,11 @@ class RateLearning(Learning[LearnedRates]):
     rule: RatesLearning
 
     def start(self) -> LearnedRates:
-        """Before the first frame."""
+        """The state before the first frame."""
         return self.rule.begin()
 
     def model(self, state: LearnedRates, model: Model) -> Model:
-        """The model with the rates that are used; cautious ones only where nothing else explains
-        them.
-        """
+        """The model with the rates in use; cautious ones only if nothing else explains them."""
         used = self.rule.settings
         found = state.rates
         priors = self.rule.priors
@@ -261,8 +258,8 @@ class RateLearning(Learning[LearnedRates]):
         return model
 
     def with_scores(self, state: LearnedRates, model: Model, detections: Detections) -> Model:
-        """The model with no more false alarms than the frame has detections, which at first is all
-        that is known.
+        """The model with at most as many false alarms as the frame has detections: the only initial
+        information.
         """
         used = self.rule.settings
         priors = self.rule.priors
@@ -272,7 +269,7 @@ class RateLearning(Learning[LearnedRates]):
         return replace(model, clutter=with_rate(model.clutter, _rounded(rate, priors.clutter)))
 
     def advance(self, state: LearnedRates, step: Step) -> LearnedRates:
-        """Take in one frame."""
+        """The state after a frame."""
         return self.rule.advance(state, step)
 
 
@@ -286,13 +283,13 @@ def priors_of(model: Model) -> Priors:
 
 
 def _name(part: Any) -> str:
-    """The name of the number of a part of a model that can be learned; empty for none."""
+    """The name of the learnable number of a model's part; empty if it has none."""
     names = next((names for kind, names in LEARNABLE.items() if isinstance(part, kind)), ("",))
     return next((name for name in names[:-1] if getattr(part, name)), names[-1])
 
 
 def with_rate(part: Any, value: float) -> Any:
-    """A part of a model with its number changed; itself where it cannot be learned."""
+    """A part of a model with its number changed; the part itself if it has none."""
     name = _name(part)
     return _changed(part, name, value) if name else part
 
@@ -304,9 +301,7 @@ def _changed(part: Any, name: str, value: float) -> Any:
 
 
 def _rounded(value: float, about: float) -> float:
-    """The nearest ``about`` times a power of `RATE_RATIO`; ``value`` itself where one of them is
-    0.
-    """
+    """The nearest ``about`` times a power of `RATE_RATIO`; ``value`` itself if one of them is 0."""
     if value <= 0 or about <= 0:
         return value
     return about * RATE_RATIO ** round(math.log(value / about, RATE_RATIO))

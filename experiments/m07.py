@@ -1,8 +1,8 @@
 """M07 Table 1 and M09 Fig. 16: PHD against no filter and against multiple hypotheses, on the same
 detections.
 
-Real detections, detections made of real truth, and simulated scenes, natural and with Poisson
-clutter added; the same shipped settings for all. Every method is given the same detections at the
+Real detections, detections simulated from real truth, and simulated scenes, as detected and with
+Poisson clutter added; the same default settings for all. All methods get the same detections at the
 same seed. `none` is M07's MT and M09's DA.
 """
 
@@ -60,9 +60,9 @@ GROUPS: dict[str, tuple[Named, ...]] = {
     "made of real truth": MADE,
     "simulated scenes": SCENES,
 }
-# False alarms that are no Poisson clutter: a page of their own, as they are.
+# False alarms that are not Poisson clutter: separate tables, without added clutter.
 FIRING: dict[str, tuple[Named, ...]] = {"places that fire": PLACES}
-# So are the rendered scenes: a detector has false alarms of its own.
+# The rendered scenes, too: their detector has its own false alarms.
 VIDEOS: dict[str, tuple[Named, ...]] = {"rendered scenes": RENDERED}
 ERRORS = {"misses": "misses", "false boxes": "false_positives", "switches": "id_switches"}
 FOUR = ("MODA", "MODP", "MOTA", "MOTP")
@@ -88,9 +88,7 @@ def work(job: MethodRun) -> ScoredCase:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MethodScores:
-    """All runs; ``groups`` of cases, ``rates`` of clutter and number of ``seeds`` that there
-    are.
-    """
+    """All runs; ``groups`` of cases, ``rates`` of clutter and number of ``seeds``."""
 
     results: dict[MethodRun, ScoredCase]
     groups: dict[str, tuple[Named, ...]]
@@ -103,7 +101,7 @@ class MethodScores:
         return tuple(case for cases in self.groups.values() for case in cases)
 
     def runs(self, case: Named, rate: int, method: str) -> list[ScoredCase]:
-        """One result for each seed; the same one where nothing is drawn."""
+        """One result for each seed; the same one if nothing is random."""
         return [
             self.results[MethodRun(case, rate, method, seed_of(case, rate, method, k))]
             for k in range(1, self.seeds + 1)
@@ -120,8 +118,8 @@ class MethodScores:
 
 
 def seed_of(case: Named, rate: int, method: str, seed: int) -> int:
-    """The seed whose run stands for ``seed``: the first where neither detections, clutter nor the
-    method draw anything.
+    """The seed whose run stands for ``seed``: the first one if neither detections, clutter nor the
+    method are random.
     """
     random = method in RANDOM or rate > 0 or case in MADE + SCENES + PLACES + RENDERED
     return seed if random else 1
@@ -131,7 +129,7 @@ def jobs_of(
     groups: dict[str, tuple[Named, ...]], rates: Sequence[int], seeds: int
 ) -> list[MethodRun]:
     """All runs, each once."""
-    wanted = (
+    runs = (
         MethodRun(case, rate, method, seed_of(case, rate, method, seed))
         for cases in groups.values()
         for case in cases
@@ -139,7 +137,7 @@ def jobs_of(
         for method in METHODS
         for seed in range(1, seeds + 1)
     )
-    return list(dict.fromkeys(wanted))
+    return list(dict.fromkeys(runs))
 
 
 def main(options: Options) -> Path:
@@ -225,7 +223,7 @@ def leads(
 def gap(
     found: MethodScores, cases: Sequence[Named], rate: int, phd: str, rival: str, score: str
 ) -> Interval:
-    """A pooled score of a PHD filter less that of a rival, seed by seed."""
+    """A pooled score of a PHD filter minus that of a rival, seed by seed."""
     ours = found.pooled(cases, rate, phd)
     theirs = found.pooled(cases, rate, rival)
     return interval(
@@ -299,7 +297,7 @@ def _gaps_table(found: MethodScores) -> str:
 
 
 def _gaps(found: MethodScores, phd: str) -> list[tuple[object, ...]]:
-    """Pooled scores of a PHD filter less those of its rivals."""
+    """Pooled scores of a PHD filter minus those of its rivals."""
     rows: list[tuple[object, ...]] = []
     for name, cases in _groups(found).items():
         for rate in found.rates:
@@ -381,8 +379,8 @@ def _behind_table(found: MethodScores) -> str:
 def _errors(
     found: MethodScores, case: Named, rate: int, rival: str, phd: str = PHD
 ) -> tuple[object, ...]:
-    """Differences in MODA and MOTA, and in errors per annotated box, whose sum is that in MOTA with
-    the other sign.
+    """Differences in MODA and MOTA, and in errors per annotated box, whose sum is the negative
+    difference in MOTA.
     """
     gap = [
         found.mean(case, rate, phd, score) - found.mean(case, rate, rival, score)

@@ -29,7 +29,7 @@ from phdtrack.metrics import pool
 
 PAIR = ("MT", "PHD-MT")
 LATER = "split at 1.5"
-# Filter, and what differs from the preset.
+# Filter, and its differences to the preset.
 METHODS: dict[str, tuple[str, tuple[str, ...]]] = {
     "MT": ("none", ()),
     "PHD-MT": ("particle-phd", ()),
@@ -46,7 +46,7 @@ PICTURED = 200
 
 @dataclass(frozen=True, slots=True)
 class PrintedRun:
-    """One run; ``seed`` draws clutter and particles."""
+    """One run; ``seed`` is that of clutter and particles."""
 
     case: Named
     rate: int
@@ -66,7 +66,7 @@ def work(job: PrintedRun) -> ScoredCase:
 
 
 def section(options: Options) -> str:
-    """Run everything and draw; the section of the page."""
+    """Run everything and draw; return the section of the page."""
     cases, rates = (short(CASES)[:2], (0, 20)) if options.quick else (CASES, RATES)
     seeds = range(1, options.number(SEEDS, FEW) + 1)
     jobs = [
@@ -79,14 +79,14 @@ def section(options: Options) -> str:
     found: Found = dict(zip(jobs, in_parallel(work, jobs, "m07, as printed", options), strict=True))
     curve(found, cases, rates, options.folder / "m07-clutter.png")
     paths(cases[0] if options.quick else PICTURE, options.folder / "m07-tracks.png")
-    shown = [rate for rate in TABLED if rate in rates]
-    lost = [row for rate in shown for case in cases for row in _lost(found, case, rate)]
+    tabled_rates = [rate for rate in TABLED if rate in rates]
+    lost = [row for rate in tabled_rates for case in cases for row in _lost(found, case, rate)]
     return filled(
         "m07_printed",
         seeds=len(seeds),
         pairs=table(
             ("clutter added", "case", *FOUR),
-            [_row(found, case, rate) for rate in shown for case in cases],
+            [_row(found, case, rate) for rate in tabled_rates for case in cases],
         ),
         ahead=table(
             (
@@ -97,7 +97,7 @@ def section(options: Options) -> str:
                 f"{LATER}: in MODA and MOTA",
                 "in all four",
             ),
-            [(rate, len(cases), *_ahead(found, cases, rate)) for rate in shown],
+            [(rate, len(cases), *_ahead(found, cases, rate)) for rate in tabled_rates],
         ),
         lost=table(("clutter added", "case", "MODA", "MOTA", f"{LATER}: MODA", "MOTA"), lost),
         shares=_shares(found),
@@ -135,7 +135,7 @@ def _gaps(found: Found, case: Named, rate: int, method: str) -> list[float]:
 
 def _ahead(found: Found, cases: Sequence[Named], rate: int) -> list[int]:
     """The number of cases in which the filter is ahead in MODA and MOTA, and in all four: as
-    printed, and with the later split.
+    printed, and with the higher split threshold.
     """
     out = []
     for method in ("PHD-MT", LATER):
@@ -145,7 +145,9 @@ def _ahead(found: Found, cases: Sequence[Named], rate: int) -> list[int]:
 
 
 def _lost(found: Found, case: Named, rate: int) -> list[tuple[object, ...]]:
-    """The cases in which the printed form is not ahead: differences, also with the later split."""
+    """The cases in which the printed form is not ahead: differences, also with the higher split
+    threshold.
+    """
     gaps, later = (_gaps(found, case, rate, method) for method in ("PHD-MT", LATER))
     if gaps[0] > 0 and gaps[2] > 0:
         return []
@@ -167,7 +169,7 @@ def _shares(found: Found) -> str:
 
 
 def curve(found: Found, cases: Sequence[Named], rates: Sequence[int], path: Path) -> None:
-    """Draw MODA and MOTA pooled over the cases against the clutter added."""
+    """Draw MODA and MOTA pooled over the cases against the added clutter."""
     plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
     for axis, score in zip(axes, ("MODA", "MOTA"), strict=True):
@@ -192,7 +194,7 @@ def curve(found: Found, cases: Sequence[Named], rates: Sequence[int], path: Path
 
 
 def paths(name: Named, path: Path) -> None:
-    """Draw detections with clutter over time, and what each method makes of them, a colour for each
+    """Draw detections with clutter over time, and the tracks of each method, a colour for each
     identity.
     """
     plt = pyplot()
@@ -222,7 +224,7 @@ def paths(name: Named, path: Path) -> None:
 
 
 def _strokes(axis: Any, frame: np.ndarray, identity: np.ndarray, xyxy: np.ndarray) -> None:
-    """The middle of the boxes over time, an identity a stroke."""
+    """Draw the centres of the boxes over time, a stroke for each identity."""
     for k, who in enumerate(np.unique(identity[frame <= PICTURED]).tolist()):
         mine = (identity == who) & (frame <= PICTURED)
         axis.plot(frame[mine], xyxy[mine][:, ::2].mean(axis=1), lw=1.2, color=f"C{k % 10}")

@@ -2,9 +2,9 @@
 image [M09 Figs. 14-16].
 
 Each scene is learned on its first half and scored on its second. False alarms are learned from
-marks on frames drawn at random, births from all tracks that the filter itself made with the uniform
-model. What was learned is mixed with the uniform model in a share that the marked frames choose
-(`Judge`): with few marks it may be none.
+marks on random frames, births from all tracks of the filter itself with the uniform model. The
+learned model is mixed with the uniform one in a share chosen on the marked frames (`Judge`): with
+few marks it may be 0.
 """
 
 from __future__ import annotations
@@ -53,32 +53,32 @@ from phdtrack.scene import LearnedDensity
 from phdtrack.scene.training import births_in, with_prior
 from phdtrack.types import F8, Bool, SequenceInfo, Tracks
 
-# Of the paper: marked false alarms, and tracks whose beginnings are births.
+# In the paper: numbers of marked false alarms, and of tracks that births are learned from.
 PAPER_MARKS = 1800
 PAPER_TRACKS = 320
 MARKS = (10, 30, 100, 300, 1000, 3000)
-# How much of what was learned may be laid into the uniform model.
+# Shares of the learned model to choose from.
 SHARES = (0.01, 0.1, 1.0)
-# Marked frames that a share is chosen by, at most, and frames before each from which the filter
-# runs.
+# Largest number of marked frames on which a share is chosen, and number of frames that the filter
+# runs before each.
 JUDGED = 40
 LEAD = 50
 SEEDS = 3
 LONG_SEEDS = 1
-# All that was learned, whatever the marked frames say.
+# The full learned model, regardless of the marked frames.
 WHOLE = "whole"
 # Births a time unit and false alarms a frame of the uniform model.
 SWEEP = tuple((births, rate) for births in (0.003, 0.03) for rate in (1.0, 10.0, 100.0))
-# The association alone (M09's DA), multiple hypotheses with the same models, taught and not, and
-# with M09's own parameters.
+# The association alone (M09's DA), multiple hypotheses with the same models, trained and untrained,
+# and with M09's own parameters.
 RIVALS = (("none", UM), ("mht", UM), ("mht", GM), ("m09-mht", UM))
 RUNS = (UM, GM, WHOLE, *ABLATIONS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alarms:
-    """False alarms learned from ``marks`` on so many frames; the ``share`` of the learned model
-    that was chosen.
+    """False alarms learned from ``marks`` on a number of frames; the chosen ``share`` of the
+    learned model.
     """
 
     clutter: LearnedDensity
@@ -92,7 +92,7 @@ class PaperScene:
     """A learned scene: births from the filter's own tracks and from manual marks, false alarms by
     the number of marks.
 
-    ``births`` are uniform where there are too few ``tracks``, at the rate that was counted.
+    ``births`` are uniform at the counted rate if there are too few ``tracks``.
     """
 
     births: LearnedDensity
@@ -101,19 +101,19 @@ class PaperScene:
     alarms: Mapping[int, Alarms]
 
     def at(self, count: int) -> Alarms:
-        """The false alarms learned from so many marks, or from all if there are fewer."""
+        """The false alarms learned from this number of marks, or from all if there are fewer."""
         return self.alarms[max(known for known in self.alarms if known <= count)]
 
 
 def uniform(info: SequenceInfo, filter_name: str = "") -> AnyStages:
-    """The preset as it is, births and false alarms uniform over the image, with its own filter or
+    """The unchanged preset, births and false alarms uniform over the image, with its own filter or
     another one.
     """
     return config.build(config.load(preset="m09"), info, filter_name)
 
 
 def learn(job: tuple[Halves, int]) -> PaperScene:
-    """Everything that the runs of a scene need; the seed draws the frames that are marked and the
+    """Learn everything that the runs of a scene need; the seed is that of the marked frames and the
     particles.
     """
     case = job[0].train
@@ -140,8 +140,8 @@ def learn(job: tuple[Halves, int]) -> PaperScene:
 
 
 def own_births(tracks: Tracks, case: Case, rate: float) -> tuple[LearnedDensity, int]:
-    """Births from the beginnings of the first `PAPER_TRACKS` tracks, uniform at their rate where
-    they are too few.
+    """Births from the beginnings of the first `PAPER_TRACKS` tracks, uniform at their rate if there
+    are too few.
     """
     began = {
         int(one): int(tracks.frame[tracks.identity == one].min())
@@ -156,16 +156,14 @@ def own_births(tracks: Tracks, case: Case, rate: float) -> tuple[LearnedDensity,
     states = births_in(early, case.info.fps, rate, everything=True)
     time_units = frames / case.info.fps * rate
     lesson = as_lesson(states, time_units, case)
-    # One more than were counted: none of a few does not mean that there never will be one.
+    # One more than counted: none in a few frames does not imply a rate of 0.
     return (
         lesson.learned if lesson else even(states.shape[1] + 1, time_units, case, 6)
     ), states.shape[1]
 
 
 def even(count: float, units: float, case: Case, dim: int) -> LearnedDensity:
-    """Births (``dim`` 6) or false alarms (4) that are uniform over the image and the sizes that are
-    detected.
-    """
+    """Births (``dim`` 6) or false alarms (4) uniform over the image and the detected sizes."""
     size = np.array([case.info.width, case.info.height], np.float64)
     still = np.ones(dim - 4)
     p = uniform_density(
@@ -184,7 +182,7 @@ def false_detections(case: Case) -> list[Bool]:
 
 
 def frames_until(false: Sequence[Bool], count: int, seed: int) -> list[int]:
-    """Frames drawn at random until ``count`` of their detections are false."""
+    """Random frames until ``count`` of their detections are false."""
     drawn = shuffled(len(false), seed)
     marks = np.cumsum([int(false[k - 1].sum()) for k in drawn])
     return drawn[: int(np.searchsorted(marks, count)) + 1]
@@ -193,7 +191,7 @@ def frames_until(false: Sequence[Bool], count: int, seed: int) -> list[int]:
 def mixed(
     stages: AnyStages, births: LearnedDensity | None, clutter: LearnedDensity | None, share: float
 ) -> AnyStages:
-    """The stages with a ``share`` of what was learned, and the rest of the uniform model; 0: the
+    """The stages with a ``share`` of the learned model, and the rest of the uniform one; 0: the
     uniform model.
     """
     if not share:
@@ -212,7 +210,7 @@ def mixed(
 
 
 def _laid(learned: LearnedDensity, before: float, share: float) -> LearnedDensity:
-    """A share of a learned density, and of the uniform rate ``before`` what is left."""
+    """A share of a learned density, and the rest of the uniform rate ``before``."""
     rest = (1 - share) * before
     density = learned.density
     rate = rest + share * learned.rate
@@ -223,12 +221,12 @@ def _laid(learned: LearnedDensity, before: float, share: float) -> LearnedDensit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judge:
-    """Chooses how much of what was learned is used, by the frames that were marked in ``case``.
+    """Chooses the share of the learned model on the marked frames of ``case``.
 
     Attributes
     ----------
-    case, stages, seed : what is learned from, and how.
-    false : for each frame which of its detections are false.
+    case, stages, seed : the training case, and the tracker.
+    false : for each frame, which of its detections are false.
     """
 
     case: Case
@@ -239,10 +237,10 @@ class Judge:
     def share(
         self, births: LearnedDensity, clutter: LearnedDensity, looked: Sequence[int]
     ) -> float:
-        """The share among `SHARES` with the most objects followed, less false alarms, on the frames
-        ``looked`` at.
+        """The share among `SHARES` with the most tracked objects minus tracked false alarms on the
+        frames ``looked`` at.
 
-        It is 0 unless that is more than with the uniform model by more than its standard error.
+        It is 0 unless this exceeds the uniform model's score by more than its standard error.
         """
         usual = self.followed(self.stages, looked)
         best = 0.0
@@ -257,8 +255,8 @@ class Judge:
         return best
 
     def followed(self, stages: AnyStages, looked: Sequence[int]) -> F8:
-        """(n,) objects' detections that carry a track, less false ones that do, of each frame that
-        was looked at.
+        """(n,) number of true detections with a track minus that of false ones, for each marked
+        frame.
         """
         whole = len(looked) * LEAD >= self.case.info.frames
         run = followed(stages, self.case, self.seed).corrected if whole else None
@@ -276,7 +274,7 @@ class Judge:
 
 
 def stages_of(one: SceneRun, scene: PaperScene, halved: Halves) -> AnyStages:
-    """The stages of a run [M09 §V]; a run "GM 100" has learned from 100 marks."""
+    """The stages of a run [M09 §V]; a run "GM 100" uses 100 marks."""
     if one.filter == "m09-mht":
         return config.build(config.load(preset="m09-mht"), halved.test.info)
     stages = uniform(halved.test.info, one.filter)
@@ -344,10 +342,12 @@ def main(options: Options) -> Path:
     """Run everything and write m09.md and its picture."""
     names = RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
     quick = options.quick
-    wanted = [(name, SHORT if quick else FRAMES) for name in names]
+    scene_jobs = [(name, SHORT if quick else FRAMES) for name in names]
     scenes = dict(
         zip(
-            names, in_parallel(halves, wanted, "m09, rendering and detecting", options), strict=True
+            names,
+            in_parallel(halves, scene_jobs, "m09, rendering and detecting", options),
+            strict=True,
         )
     )
     lessons = [
@@ -355,8 +355,10 @@ def main(options: Options) -> Path:
         for name in names
         for seed in range(1, options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) + 1)
     ]
-    given = [(scenes[name], seed) for name, seed in lessons]
-    learned = dict(zip(lessons, in_parallel(learn, given, "m09, learning", options), strict=True))
+    lesson_jobs = [(scenes[name], seed) for name, seed in lessons]
+    learned = dict(
+        zip(lessons, in_parallel(learn, lesson_jobs, "m09, learning", options), strict=True)
+    )
     runs = runs_of(scenes, learned, quick)
     jobs = [(run, scenes[run.scene], learned[run.scene, run.seed]) for run in runs]
     scored = dict(zip(runs, in_parallel(work, jobs, "m09", options), strict=True))
@@ -391,15 +393,13 @@ def main(options: Options) -> Path:
     )
 
 
-# MOTA less UM's with the chosen share and with all that was learned, and the mean share, by the
+# MOTA minus UM's with the chosen share and with the full learned model, and the mean share, by the
 # number of marks.
 Curve = Mapping[int, tuple[float, float, float]]
 
 
 def curve(found: SceneResults, learned: Mapping[tuple[str, int], PaperScene], name: str) -> Curve:
-    """The gain for each number of marks, on the frames on which they are compared: means over
-    seeds.
-    """
+    """The gain for each number of marks, on the frames of the comparison: means over seeds."""
     few = short_of(found.scenes[name])
     seeds = [seed for scene, seed in learned if scene == name]
     out = {}
@@ -420,7 +420,7 @@ def curve(found: SceneResults, learned: Mapping[tuple[str, int], PaperScene], na
 
 
 def draw(curves: Mapping[str, Curve], found: SceneResults, path: Path) -> None:
-    """MOTA less UM's over the number of marks, a field for each scene."""
+    """Draw MOTA minus UM's over the number of marks, a panel for each scene."""
     plt = pyplot()
     across = min(3, len(curves))
     down = -(-len(curves) // across)
@@ -449,12 +449,12 @@ def draw(curves: Mapping[str, Curve], found: SceneResults, path: Path) -> None:
 
 def _claims(found: SceneResults) -> str:
     """The paper's claims beside ours."""
-    shown = [name for name in RENDERED if name in found.scenes]
+    names = [name for name in RENDERED if name in found.scenes]
 
     def each(run: str, than: str, score_: str = "MOTA") -> str:
         return ", ".join(
             f"{found.mean(name, run, score_) - found.mean(name, than, score_):+.3f}"
-            for name in shown
+            for name in names
         )
 
     rows = [
@@ -470,7 +470,7 @@ def _claims(found: SceneResults) -> str:
             each("A6", GM),
         ),
     ]  # fmt: skip
-    return table(("the paper", "score", f"ours: {', '.join(shown)}"), rows)
+    return table(("the paper", "score", f"ours: {', '.join(names)}"), rows)
 
 
 def _findings(found: SceneResults) -> str:

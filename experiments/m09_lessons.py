@@ -1,9 +1,9 @@
 """Learning a scene from its first half, as in M09: false alarms from marks, births from tracks or
 from marks.
 
-The truth makes the marks: on 40 frames drawn at random a detection that overlaps no annotated box
-by 0.3 is marked as false; on every frame of the half the first detection of each person who enters
-is marked as a birth. Marks go through the file of labels, as those of the labelling page do.
+The truth makes the marks: on 40 random frames each detection that overlaps no annotated box by 0.3
+is marked as false; on every frame of the half the first detection of each person who enters is
+marked as a birth. Marks go through the file of labels, like those of the labelling page.
 """
 
 from __future__ import annotations
@@ -38,11 +38,10 @@ from phdtrack.scene.training import (
 from phdtrack.types import F8, I8, Tracks
 
 MARKED = 40
-# IoU with the annotated boxes below which a detection is false, and from which on it is an
-# object's.
+# IoU with the annotated boxes below which a detection is false, and from which it is an object's.
 OBJECT = 0.5
-# As shipped: most particles a detection, odds of a false alarm below which a track is confirmed at
-# once, rows of a track.
+# As in the defaults: largest number of particles per detection, odds of a false alarm below which a
+# track is confirmed at once, minimum rows of a track.
 MOST = 500
 SURE = 0.1
 SHORTEST = 5
@@ -52,9 +51,9 @@ SHORTEST = 5
 class LearnedScene:
     """The learned densities; births from fewer than ten tracks or marks are None.
 
-    ``seen``: what the tracker followed, None for too little. ``gains``: held-out nats above
-    uniform, of clutter, births, and births by hand; NaN where nothing was learned. ``entered``: how
-    many came in, in the half that was learned from.
+    ``seen``: the tracked false alarms and objects, None if too few. ``gains``: held-out nats above
+    uniform, of clutter, births, and manual births; NaN if nothing was learned. ``entered``: number
+    of people who entered in the first half.
     """
 
     clutter: LearnedDensity
@@ -66,7 +65,7 @@ class LearnedScene:
 
 
 def learn(job: tuple[Halves, int]) -> LearnedScene:
-    """Everything that the runs of a scene need; the seed draws the frames that are marked and the
+    """Learn everything that the runs of a scene need; the seed is that of the marked frames and the
     particles.
     """
     case = job[0].train
@@ -106,7 +105,7 @@ def with_learned(
     clutter: LearnedDensity | None,
     seen: TrackedObjects | None,
 ) -> AnyStages:
-    """The stages with what a scene has taught; None: as shipped."""
+    """The stages with the learned densities of a scene; None: the defaults."""
     model = with_scene(stages.model, births, clutter, seen, MOST)
     if clutter is None or seen is None:
         return replace(stages, model=model)
@@ -120,9 +119,7 @@ def with_learned(
 
 
 def own_births(tracks: Tracks, case: Case, rate: float) -> Training | None:
-    """Births from the tracks that the tracker itself makes [M09 §IV]; None where there are too
-    few.
-    """
+    """Births from the tracker's own tracks [M09 §IV]; None if there are too few."""
     return as_lesson(
         births_in(tracks, case.info.fps, rate), case.info.frames / case.info.fps * rate, case
     )
@@ -134,7 +131,7 @@ def learned_alarms(case: Case, marks: Marks) -> Training:
 
 
 def false_alarms(boxes: F8, frames: int, case: Case) -> Training:
-    """False alarms from boxes (4, n) that were marked on so many frames."""
+    """False alarms from boxes (4, n) marked on a number of frames."""
     return with_sizes(
         learn_boxes(boxes, frames, (float(case.info.width), float(case.info.height)), FALSE_BOXES),
         case,
@@ -142,8 +139,8 @@ def false_alarms(boxes: F8, frames: int, case: Case) -> Training:
 
 
 def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects | None:
-    """The false alarms and objects that the tracker follows, from the marked and unmarked
-    detections; None if too few are unmarked.
+    """The tracked false alarms and objects, from the marked and unmarked detections; None if too
+    few are unmarked.
     """
     size = (float(case.info.width), float(case.info.height))
     frames = len(marks.looked_at)
@@ -155,7 +152,7 @@ def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects
 
 
 def as_lesson(states: F8, time_units: float, case: Case) -> Training | None:
-    """Births from first states; None where there are too few."""
+    """Births from first states; None if there are too few."""
     try:
         lesson = learn_births(states, time_units, (float(case.info.width), float(case.info.height)))
     except InputError:
@@ -164,15 +161,15 @@ def as_lesson(states: F8, time_units: float, case: Case) -> Training | None:
 
 
 def with_sizes(lesson: Training, case: Case) -> Training:
-    """The lesson with the shrinkage prior over the sizes that are detected."""
+    """The samples with the shrinkage prior over the detected sizes."""
     return replace(
         lesson, learned=with_prior(lesson.learned, to_cxcywh(case.table.detections.xyxy)[2:])
     )
 
 
 def marked_false(case: Case, path: Path, seed: int, count: int = MARKED) -> LabelStore:
-    """Labels in which every detection without an object is marked as false, on ``count`` frames
-    drawn at random.
+    """Labels in which every detection without an object is marked as false, on ``count`` random
+    frames.
     """
     store = LabelStore.open(path, case.name, "truth", shuffled(case.info.frames, seed)[:count])
     store.mark_false(case.table, case.truth)

@@ -1,4 +1,4 @@
-"""The pictures of M09's experiment: maps of what was learned (Figs. 7, 8, 11), gains (14), the
+"""The pictures of M09's experiment: maps of the learned densities (Figs. 7, 8, 11), gains (14), the
 sweep (15).
 """
 
@@ -18,23 +18,23 @@ from phdtrack.types import F8, Image
 
 _RED = np.array([220.0, 30, 30])
 _GREEN = np.array([20.0, 190, 60])
-# By the square root a place a quarter as likely as the worst is still plain to see.
+# Square root: a place a quarter as likely as the highest remains visible.
 _OPAQUE = 0.85
 Sweep = Mapping[tuple[float, float], float]
 
 
 def maps(scenes: Mapping[str, tuple[Image, LearnedScene]], path: Path) -> None:
-    """Over a frame of each scene: false alarms, births of the tracker's own tracks, births marked
-    by hand.
+    """Draw over a frame of each scene: false alarms, births of the tracker's own tracks, manual
+    births.
     """
     plt = pyplot()
     figure, axes = plt.subplots(
         len(scenes), 3, figsize=(12, 3.1 * len(scenes)), squeeze=False, layout="constrained"
     )
     for row, (name, (picture, scene)) in zip(axes, scenes.items(), strict=True):
-        shown = ((scene.clutter, _RED), (scene.births, _GREEN), (scene.hand, _GREEN))
-        for axis, (learned, colour), what in zip(
-            row, shown, ("false alarms", "births", "births by hand"), strict=True
+        panels = ((scene.clutter, _RED), (scene.births, _GREEN), (scene.hand, _GREEN))
+        for axis, (learned, colour), title in zip(
+            row, panels, ("false alarms", "births", "births by hand"), strict=True
         ):
             axis.imshow(over(picture, learned.density if learned else None, colour))
             rate = "r̄" if colour is _RED else "s̄"
@@ -44,7 +44,7 @@ def maps(scenes: Mapping[str, tuple[Image, LearnedScene]], path: Path) -> None:
                 else ": too few"
             )
             axis.set(xticks=[], yticks=[])
-            axis.set_title(f"{name}: {what}{note}", fontsize=9)
+            axis.set_title(f"{name}: {title}{note}", fontsize=9)
     figure.savefig(path, dpi=60)
     plt.close(figure)
 
@@ -62,7 +62,7 @@ def over(picture: Image, density: SceneDensity | None, colour: F8) -> Image:
 
 
 def bars(gains: Mapping[str, Mapping[str, Mapping[str, Interval]]], path: Path) -> None:
-    """Differences to the uniform model with the half of their intervals: a row for each score, a
+    """Draw differences to the uniform model with half their intervals: a row for each score, a
     column for each scene.
     """
     plt = pyplot()
@@ -91,7 +91,7 @@ def bars(gains: Mapping[str, Mapping[str, Mapping[str, Interval]]], path: Path) 
 
 
 def sweeps(found: Mapping[str, tuple[Sweep, float]], path: Path) -> None:
-    """MOTA of the uniform model over its rate of clutter, and that of the learned model."""
+    """Draw MOTA of the uniform model over its rate of clutter, and that of the learned model."""
     plt = pyplot()
     across = min(3, len(found))
     down = -(-len(found) // across)

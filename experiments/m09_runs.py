@@ -26,14 +26,15 @@ GM = "GM"
 ABLATIONS = ("A1", "A2", "A3", "A4", "A5", "A6")
 # Births a second and false alarms a frame in the neighbourhood of a box; their ratio counts most.
 SWEEP = tuple((0.01, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
-# Quarters of the stretch, each scored for itself too.
+# Quarters of the frames, each also scored alone.
 BLOCKS = 4
 
 
 @dataclass(frozen=True, slots=True)
 class SceneRun:
-    """One run on the first ``frames`` of the second half of a scene, 0: all; ``filter``: another
-    than the experiment's own; ``rates`` (births, clutter) of a sweep of the uniform model."""
+    """One run on the first ``frames`` of the second half of a scene, 0: all; ``filter``: in place
+    of the experiment's own; ``rates`` (births, clutter) of a sweep of the uniform model.
+    """
 
     scene: str
     seed: int
@@ -49,10 +50,10 @@ class SceneScores:
 
     Attributes
     ----------
-    scores : of the corrected tracks.     blocks : of the same in a quarter of the stretch each.
+    scores : of the corrected tracks. blocks : the same for each quarter of the frames.
     live : scores of the confirmed online rows.
     inside, outside : delay of each object found, by its identity: frames from its first detection
-        to its first confirmed online row; of those first detected where people enter, and
+        to its first confirmed online row; for objects first detected where people enter, and
         elsewhere.
     """
 
@@ -82,7 +83,7 @@ def score(one: SceneRun, halved: Halves, stages: AnyStages) -> SceneScores:
 
 
 def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
-    """The scores of each quarter of the stretch for itself."""
+    """The scores of each quarter of the frames."""
     edges = np.linspace(0, case.info.frames, BLOCKS + 1).astype(np.int64)
     found = []
     for begin, end in itertools.pairwise(edges.tolist()):
@@ -96,7 +97,7 @@ def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
 
 
 def stages_of(one: SceneRun, halved: Halves, scene: LearnedScene) -> AnyStages:
-    """The preset ``mot15``, which knows of no scores, with the births and the clutter of the
+    """The preset ``mot15``, which does not use scores, with the births and the clutter of the
     run.
     """
     info = halved.test.info
@@ -118,14 +119,12 @@ def stages_of(one: SceneRun, halved: Halves, scene: LearnedScene) -> AnyStages:
 
 
 def estimated(run: str, model: Model, scene: LearnedScene, train: Case) -> Model:
-    """Births and clutter that are the same at every scale, with the rates that were learned [M09
-    §V].
-    """
+    """Births and clutter that are the same at every scale, with the learned rates [M09 §V]."""
     birth = model.birth
     clutter = model.clutter
     assert isinstance(birth, MeasurementBirth)
     assert isinstance(clutter, BoxClutter)
-    # So many of each detection that they are as many as were learned.
+    # As many per detection as give the learned rate.
     each = train.info.frames / max(len(train.table.frame), 1)
     if run in ("A3", "A5") and scene.births:
         birth = replace(birth, births_per_detection=each * model.rate * scene.births.rate)
@@ -169,10 +168,9 @@ TURN = 50
 
 
 def seconds_per_frame(both: Sequence[AnyStages], case: Case, frames: int) -> tuple[float, float]:
-    """Median seconds that a frame takes with the one and with the other stages, without the
-    detector.
+    """Median seconds per frame with each of two sets of stages, without the detector.
 
-    Both run block by block in turn on the same frames, so that what else a machine does slows both.
+    Both run block by block in turn on the same frames, so that other load slows both.
     """
     rngs = [np.random.default_rng(1) for _ in both]
     states = [pipeline.start(stages, rng) for stages, rng in zip(both, rngs, strict=True)]
@@ -188,7 +186,7 @@ def seconds_per_frame(both: Sequence[AnyStages], case: Case, frames: int) -> tup
                 )
                 seconds.append(sum(step.seconds))
             spent[which].append(float(np.mean(seconds)))
-    # The first blocks compile, and load what is compiled.
+    # The first blocks compile and load kernels.
     warm = slice(2, None) if len(spent[0]) > 4 else slice(None)
     one, other = (float(np.median(each[warm])) for each in spent)
     return one, other

@@ -1,4 +1,6 @@
-"""The scenes of M09's experiment, rendered and real: one half to learn, the other to test."""
+"""The scenes of M09's experiment, rendered and real: one half for training, the other for
+testing.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +21,16 @@ from phdtrack.video import open_source
 RENDERED = ("yard", "garden", "arcade")
 PETS = "PETS09-S2L1"
 REAL = (f"{PETS} change", f"{PETS} frcnn", f"{PETS} public")
-# What learning does was not chosen on these. The filter's own values were chosen on MOT15,
-# ADL-Rundle-6 among it.
+# The learning was not tuned on these. The filter's own values were chosen on MOT15, including
+# ADL-Rundle-6.
 HELD_OUT = ("ADL-Rundle-6 frcnn", "KITTI-17 frcnn", "KITTI-17 public")
 FRAMES = 20_000
 SHORT = 1_000
-# How far from a place where people enter an object may begin that counts as entering there: mean
-# body widths.
+# Largest distance of an object's first detection to an entrance at which it counts as entering
+# there, in mean body widths.
 _ENTRY_MARGIN = 1.0
 SEED = 1
-# The frame that pictures show, and how many the detector is timed on.
+# The frame in the pictures, and the number of frames for timing the detector.
 SHOWN = 100
 LOOKS = 200
 
@@ -63,13 +65,15 @@ def halves(job: tuple[str, int]) -> Halves:
 
 
 def simulated(name: str, frames: int) -> Scene:
-    """A named scene of so many frames."""
+    """A named scene with this number of frames."""
     world = replace(NAMED[name], frames=frames)
     return make_scene(world, SEED, default_detector(world))
 
 
 def rendered(name: str, frames: int) -> tuple[Case, F8]:
-    """A named scene, painted frame by frame, and what the change detector finds; the entries."""
+    """A named scene, rendered frame by frame, with the detections of the change detector, and its
+    entries.
+    """
     scene = simulated(name, frames)
     width = float(scene.info.width)
     height = float(scene.info.height)
@@ -92,8 +96,8 @@ def filmed(name: str) -> tuple[Case, F8]:
 
 
 def border(info: SequenceInfo, truth: Truth) -> F8:
-    """(4, 4) the strips along the frame's borders in which a box's centre lies when a person of
-    usual size comes in.
+    """(4, 4) strips along the frame's borders that contain the box's centre when a person of usual
+    size enters.
     """
     size = truth.xyxy[~truth.distractor]
     across = _ENTRY_MARGIN * float((size[:, 2] - size[:, 0]).mean())
@@ -132,9 +136,7 @@ def picture(scene: Halves) -> Image:
 
 
 def detector_seconds(scene: Halves) -> float:
-    """Median seconds that the change detector takes for a frame of a scene, over the first of
-    them.
-    """
+    """Median seconds of the change detector per frame of a scene, over its first frames."""
     detector = make_detector("change")
     seconds = []
     for frame in itertools.islice(frames_of(scene.name, scene.frames), LOOKS):

@@ -2,10 +2,10 @@
 older than their code.
 
 ``docs/results/made.json`` has an entry for each page: the command, the commit that was checked out
-(with a + where files had changed since), and a fingerprint of every module of phdtrack and of the
+(with a + if files had changed since), and a fingerprint of every module of phdtrack and of the
 experiments that the command loaded, in its own process or in its workers, and of the files that
-hold settings. A fingerprint is of what a file says to Python: comments, docstrings and layout do
-not count. It is taken when the command begins: what is edited while it runs makes the page old.
+hold settings. Comments, docstrings and layout do not count for a fingerprint. It is taken when the
+command starts: editing a file during the run makes the page old.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "src" / "phdtrack" / "config"
 SETTINGS = tuple(sorted(one.relative_to(ROOT).as_posix() for one in CONFIG.rglob("*.toml")))
-# Not part of what a page shows.
+# Modules that do not affect a page.
 APART = ("experiments/made.py", "experiments/__main__.py")
-# Pages whose words and figures are put together by hand, from what a command prints.
+# Pages that are written by hand from the output of a command.
 BY_HAND = {
     "speed": "python -m benchmarks",
     "reliability": "python -m experiments.fuzz and the like",
@@ -39,7 +39,7 @@ def fingerprint(path: Path) -> str:
     """
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".toml":
-        said = json.dumps(tomllib.loads(text), sort_keys=True)
+        content = json.dumps(tomllib.loads(text), sort_keys=True)
     else:
         tree = ast.parse(text)
         for node in ast.walk(tree):
@@ -51,13 +51,13 @@ def fingerprint(path: Path) -> str:
                 and isinstance(body[0].value, ast.Constant)
             ):
                 body[0] = ast.Pass()
-        said = ast.dump(tree)
-    return hashlib.sha256(said.encode()).hexdigest()[:12]
+        content = ast.dump(tree)
+    return hashlib.sha256(content.encode()).hexdigest()[:12]
 
 
 @cache
 def at_start() -> Mapping[str, str]:
-    """Fingerprints of all modules and settings, by path, when this was first asked."""
+    """Fingerprints of all modules and settings, by path, at the first call."""
     modules = [*(ROOT / "src" / "phdtrack").rglob("*.py"), *(ROOT / "experiments").glob("*.py")]
     paths = [*modules, *(ROOT / one for one in SETTINGS)]
     return {path.relative_to(ROOT).as_posix(): fingerprint(path) for path in sorted(paths)}
@@ -81,15 +81,15 @@ def _ours(name: str) -> bool:
 
 
 def commit() -> str:
-    """The commit that is checked out, with a + where files have changed since; ``unknown`` outside
-    of a repository.
+    """The commit that is checked out, with a + if files have changed since; ``unknown`` outside a
+    repository.
     """
     try:
         run = [
             subprocess.run(
-                ["git", *what], cwd=ROOT, capture_output=True, text=True, check=True
+                ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True
             ).stdout.strip()
-            for what in (
+            for arguments in (
                 ["rev-parse", "--short=10", "HEAD"],
                 ["status", "--porcelain", "--", "src", "experiments"],
             )
@@ -100,7 +100,7 @@ def commit() -> str:
 
 
 def record(folder: Path, page: str, command: str, modules: Iterable[str]) -> str:
-    """Write the entry of a page into ``folder``/made.json; the line for the page's end."""
+    """Write the entry of a page into ``folder``/made.json; return the line for the page's end."""
     file = folder / "made.json"
     entries = _read(file)
     code = {path: at_start().get(path, "") for path in sorted({*modules, *SETTINGS})}
@@ -114,8 +114,8 @@ def record(folder: Path, page: str, command: str, modules: Iterable[str]) -> str
 
 
 def stale(folder: Path) -> dict[str, list[str]]:
-    """The pages of ``folder`` older than what they show, and the modules that have changed since;
-    none: never recorded.
+    """The pages of ``folder`` that are older than their code, and the modules that have changed
+    since; an empty list if the page was never recorded.
     """
     entries = _read(folder / "made.json")
     found = dict[str, list[str]]()
@@ -132,8 +132,8 @@ def stale(folder: Path) -> dict[str, list[str]]:
 
 
 def check(folder: Path) -> int:
-    """Say which pages are old, why, and what makes them anew; the exit status: 0, or 1 where there
-    are any.
+    """Print the old pages, the reasons, and the commands that make them again; return the exit
+    status, 1 if there are any.
     """
     old = stale(folder)
     entries = _read(folder / "made.json")

@@ -1,4 +1,4 @@
-"""Two people who meet, walk as one blob for a while and part, and the identities with which they
+"""Two people who meet, share a blob for a while and part, and the identities with which they
 leave.
 """
 
@@ -24,13 +24,13 @@ FPS = 25.0
 TALL = 84.0
 ASPECT = 0.38
 SPEED = 0.75
-# How long they walk as one, seconds; how far they are then from each other, in widths.
+# Seconds for which they walk together; their distance meanwhile, in widths.
 TOGETHER = (1.0, 3.0)
 APART = (0.25, 0.8)
-# The part of a figure that must be in the frame to be in the truth.
+# The share of a figure that must be inside the frame for it to be in the truth.
 _VISIBLE = 0.3
 Leave = Literal["right", "swapped", "new", "lost"]
-# Their axes are this far apart, in widths, when they begin to touch as a detector sees it.
+# Distance of their axes, in widths, at which their blobs begin to touch.
 _TOUCH = 1.3
 # Frames before and after in which identities are read; how many around the touch itself are left
 # out.
@@ -42,17 +42,17 @@ _MATCH = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """Two who come from both sides, walk together, and go on to where they headed, or back.
+    """Two people who come from both sides, walk together, and then go on or turn back.
 
     Attributes
     ----------
     parting : ``crossing``, each passes the other slowly and goes on, or ``turning back``, each
         stays on its side.
-    together : seconds for which they walk as one.
-    apart : distance of their axes while they do (of those who cross: when they meet and when they
-        part), in widths.
-    drift : common velocity while they do, along the picture, pixels per second.
-    behind : by how many pixels the second's foot is higher in the picture.
+    together : seconds for which they walk together.
+    apart : distance of their axes meanwhile (if they cross: when they meet and when they part), in
+        widths.
+    drift : common horizontal velocity meanwhile, pixels per second.
+    behind : pixels by which the second person's foot is higher in the image.
     """
 
     parting: Parting
@@ -70,8 +70,8 @@ class Meeting:
 
     @property
     def _times(self) -> tuple[float, float]:
-        """Seconds at which they meet and part. Before, each walks from outside the frame; they come
-        in after a second.
+        """Seconds at which they meet and part. Before, each walks in from outside the frame and
+        enters after a second.
         """
         way = WIDTH / 2 + ASPECT * TALL
         meets = 1.0 + way / (SPEED * TALL)
@@ -103,14 +103,14 @@ class Meeting:
         return truth_rows(frame[inside], np.repeat([1, 2], len(time))[inside], xyxy[inside])
 
     def truth(self, figures: Truth) -> Truth:
-        """The figures that are sufficiently inside the frame."""
+        """The figures of which enough is inside the frame."""
         kept = np.flatnonzero(_visible(figures.xyxy, self.info) >= _VISIBLE)
         inside = _clip(figures.xyxy[kept], self.info)
         return truth_rows(figures.frame[kept], figures.identity[kept], inside)
 
 
 def _smooth(way: F8) -> F8:
-    """Without jerks: speeds change over half a second."""
+    """Smooth a path: speeds change over half a second."""
     span = round(FPS / 2) | 1
     padded = np.pad(way, span // 2, mode="reflect", reflect_type="odd")
     out: F8 = np.convolve(padded, np.full(span, 1 / span), mode="valid")
@@ -118,7 +118,7 @@ def _smooth(way: F8) -> F8:
 
 
 def meeting(parting: Parting, seed: int) -> Meeting:
-    """A meeting drawn by chance."""
+    """A random meeting."""
     rng = np.random.default_rng([seed, PARTINGS.index(parting)])
     together = rng.uniform(*TOGETHER)
     apart = rng.uniform(*APART)
@@ -142,8 +142,8 @@ def met(parting: Parting, seed: int) -> Scene:
 
 
 def filmed(job: tuple[Parting, int], *, detector: bool = True) -> Case:
-    """A meeting rendered, and what the change detector, as shipped, finds in it; without it no
-    detections.
+    """A rendered meeting with the detections of the change detector with defaults; none without
+    it.
     """
     parting, seed = job
     scene = met(parting, seed)
@@ -187,7 +187,7 @@ def touching(truth: Truth) -> tuple[int, int]:
 
 
 def _identity(case: Case, tracks: Tracks, who: int, frames: I8) -> int:
-    """The identity that most of these frames give this person, 0 where none does."""
+    """The most frequent identity of this person in these frames, 0 for none."""
     votes = [0]
     for number in frames.tolist():
         true = case.truth.xyxy[(case.truth.frame == number) & (case.truth.identity == who)]
@@ -209,7 +209,7 @@ def _clip(xyxy: F8, info: SequenceInfo) -> F8:
 
 
 def _visible(xyxy: F8, info: SequenceInfo) -> F8:
-    """(n,) part of each box's area that lies in the frame."""
+    """(n,) share of each box's area inside the frame."""
     size = xyxy[:, 2:] - xyxy[:, :2]
     inside = _clip(xyxy, info)
     part: F8 = (inside[:, 2:] - inside[:, :2]).prod(axis=1) / size.prod(axis=1)

@@ -1,9 +1,8 @@
 """The standard nonlinear scenario, targets that turn: OSPA of the particle filters and of the
 Gaussian ones by sigma points.
 
-The scenario is `standard_scenes.turning`: ten targets over 100 scans, seen by bearing and range,
-with the noises that the literature uses. Every filter is given the scenario's model. A section of
-vo.md.
+The scenario is `standard_scenes.turning`: ten targets over 100 scans, measured by bearing and
+range, with the noises of the literature. All filters have the scenario's model. A section of vo.md.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ from phdtrack.types import F8, GaussianMixture
 RUNS = 100
 SIDE = 50
 FEW = 2
-# The noises that the literature gives this scene, see `standard_scenes`.
+# The noises of this scene in the literature, see `standard_scenes`.
 CASES = {
     "σ_w 5, σ_θ 2°, σ_r 10, λ 20": Turning(),
     "σ_w 15, σ_θ 2°, σ_r 20, λ 20": Turning(sd_acceleration=15.0, sd_range=20.0),
@@ -82,29 +81,29 @@ FILTERS: dict[str, Stages] = {
 }
 
 
-def world(given: Turning) -> Model:
+def world(scenario: Turning) -> Model:
     """The scenario's parameters as a model; metres, radians, seconds."""
-    mean = given.birth_mean
-    sd = np.array(given.birth_sd)
+    mean = scenario.birth_mean
+    sd = np.array(scenario.birth_sd)
     spread = np.tile(np.diag(sd**2), (mean.shape[1], 1, 1))
     sensor = BearingSensor(
-        given.sd_bearing,
-        given.sd_range,
-        given.p_detect,
-        given.fade,
+        scenario.sd_bearing,
+        scenario.sd_range,
+        scenario.p_detect,
+        scenario.fade,
         birth_speed=2**0.5 * float(sd[2]),
         turn=float(sd[4]),
     )
     return Model(
         TurningMotion(
-            given.sd_acceleration,
-            given.sd_turn,
-            given.p_survive ** (1 / given.interval),
+            scenario.sd_acceleration,
+            scenario.sd_turn,
+            scenario.p_survive ** (1 / scenario.interval),
             "piecewise",
         ),
         sensor,
-        FixedBirth(GaussianMixture(np.array(given.birth_weight), mean, spread), NEWBORN),
-        UniformClutter(given.clutter_rate, given.clutter_volume),
+        FixedBirth(GaussianMixture(np.array(scenario.birth_weight), mean, spread), NEWBORN),
+        UniformClutter(scenario.clutter_rate, scenario.clutter_volume),
         rate=1.0,
     )
 
@@ -112,37 +111,37 @@ def world(given: Turning) -> Model:
 def realisation(case: str, seed: int) -> Realisation:
     """The scans of one seed."""
     scene = turning(np.random.default_rng(seed), CASES[case])
-    given = scene.model
+    scenario = scene.model
     return Realisation(
-        world(given),
+        world(scenario),
         scene.measurement,
         scene.state,
         scene.identity,
-        given.interval,
-        given.ospa_cutoff,
+        scenario.interval,
+        scenario.ospa_cutoff,
     )
 
 
 def run(job: FilterRun) -> SetErrors:
-    """One filter over one realisation."""
-    given = realisation(job.case, job.seed)
-    return measured(given, followed(given, FILTERS[job.filter], job.seed))
+    """Run one filter on one realisation."""
+    realised = realisation(job.case, job.seed)
+    return measured(realised, followed(realised, FILTERS[job.filter], job.seed))
 
 
 def picture(path: Path, seed: int = 0) -> None:
-    """Draw one realisation on the targets' ways: all that is measured, and the states that each
-    filter makes of it.
+    """Draw one realisation over the targets' paths: all measurements, and the states of each
+    filter.
     """
     plt = pyplot()
-    given = realisation(FIRST_CASE, seed)
+    realised = realisation(FIRST_CASE, seed)
     rows = math.ceil((1 + len(FILTERS)) / 2)
     figure, grid = plt.subplots(
         rows, 2, figsize=(11, 3.1 * rows), layout="constrained", squeeze=False
     )
     axes = grid.ravel()
-    places = {"measured": [given.model.sensor.states(z)[0][:2] for z in given.scans]}
+    places = {"measured": [realised.model.sensor.states(z)[0][:2] for z in realised.scans]}
     for name, stages in FILTERS.items():
-        places[name] = [found.state[:2] for found, _ in followed(given, stages, seed)]
+        places[name] = [found.state[:2] for found, _ in followed(realised, stages, seed)]
     for axis, (name, each) in zip(axes, places.items(), strict=False):
         _ways(axis)
         axis.plot(
@@ -160,7 +159,7 @@ def picture(path: Path, seed: int = 0) -> None:
 
 
 def _ways(axis: Any) -> None:
-    """The half disc that is looked at, and the targets' ways, from their circles."""
+    """Draw the observed half disc and the targets' paths."""
     angle = np.linspace(0, math.pi, 181)
     axis.plot(Turning().radius * np.cos(angle), Turning().radius * np.sin(angle), color="0.8", lw=1)
     for who, way in ways().items():
@@ -169,7 +168,7 @@ def _ways(axis: Any) -> None:
 
 
 def ways() -> dict[int, F8]:
-    """(2, scans) where each target was, from its first scan to its last."""
+    """The path (2, scans) of each target, from its first scan to its last."""
     places: dict[int, list[F8]] = {}
     for scan in range(1, TURNING_LAST.max() + 1):
         state, identity = turning_states(scan)
@@ -179,7 +178,7 @@ def ways() -> dict[int, F8]:
 
 
 def section(options: Options) -> str:
-    """Measure and draw; the section of the page."""
+    """Measure and draw; return the section of the page."""
     runs = {case: options.number(RUNS if case == FIRST_CASE else SIDE, FEW) for case in CASES}
     found = compared(run, runs, tuple(FILTERS), "turning", options)
     number = np.array([truth.shape[1] for truth in realisation(FIRST_CASE, 0).truth])

@@ -1,13 +1,12 @@
-"""Our filters and widely used trackers: same detections, no score threshold, one parameter set,
+"""Our filters and widely used trackers: same detections, no score threshold, one set of parameters,
 TrackEval's scores.
 
 Writes two pages: peers.md, and defaults.md, which compares the filters and the parts of the default
 one.
 
-Peers' scores come from `bench/peers.csv` next to the real sequences, and so do the clutter cases
-(`bench/make_clutter.py`, run as it is): nothing of a peer is measured here. Every filter has the
-shipped defaults. Truth that the benchmark marks as not to be counted is left out, as TrackEval does
-for MOT15, so that scores compare.
+Peers' scores come from `bench/peers.csv` next to the real sequences, and the clutter cases from
+`bench/make_clutter.py`: no peer is run here. Every filter has its defaults. Truth that the
+benchmark marks as ignored is left out, as TrackEval does for MOT15, so that scores are comparable.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ SEQUENCES: Mapping[str, tuple[str, ...]] = {
 RATES = (0, 5, 20)
 # Uniform clutter, and the same with five places with repeated false boxes.
 CLUTTER = tuple(f"{kind}{rate}" for kind in "up" for rate in RATES)
-# Peers have been scored on the first.
+# Peers are scored on the first.
 SEEDS = 3
-# Name, filter, and settings that are not the defaults.
+# Name, filter, and changes to the defaults.
 TRACKERS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "pmb": ("pmb", ()),
     "pmb, 3 frames late": ("pmb", ("associate.output_delay=3",)),
@@ -50,7 +49,7 @@ TRACKERS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "none": ("none", ()),
 }
 SHOWN = ("HOTA", "MOTA", "IDF1")
-# What the shipped defaults are made of: parts switched off,
+# Changes to the defaults: parts switched off,
 PARTS: Mapping[str, tuple[str, ...]] = {
     "as shipped": (),
     "corrected tracks not smoothed": ("smooth.smoothing=false",),
@@ -104,8 +103,8 @@ class PeerRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeerScores:
-    """Scores of what was given online, at once and for good, and of the corrected tracks;
-    milliseconds a frame.
+    """Scores of the online rows, without delay, and of the corrected tracks; milliseconds per
+    frame.
     """
 
     online: Scores
@@ -114,7 +113,7 @@ class PeerScores:
 
 
 def bench() -> Path:
-    """The folder of the comparison; `InputError` where it is missing."""
+    """The folder of the comparison; `InputError` if it is missing."""
     folder = need_data().parent / "bench"
     if not (folder / "peers.csv").is_file():
         raise InputError(
@@ -127,20 +126,20 @@ def bench() -> Path:
 
 @lru_cache(maxsize=1)
 def simulated_detections() -> tempfile.TemporaryDirectory[str]:
-    """The clutter cases, made once a process; they go with it."""
+    """The clutter cases in a temporary folder of this process, made once."""
     folder = tempfile.TemporaryDirectory()
-    given = (bench() / "make_clutter.py", "--gt-root", need_data() / "mot15", "--out", folder.name)
+    script = (bench() / "make_clutter.py", "--gt-root", need_data() / "mot15", "--out", folder.name)
     rates = map(str, RATES)
     seeds = map(str, range(1, SEEDS + 1))
-    wanted = ("--seqs", *MADE, "--lambdas", *rates, "--seeds", *seeds)
+    options = ("--seqs", *MADE, "--lambdas", *rates, "--seeds", *seeds)
     subprocess.run(
-        [sys.executable, *map(str, given), *wanted], check=True, stdout=subprocess.DEVNULL
+        [sys.executable, *map(str, script), *options], check=True, stdout=subprocess.DEVNULL
     )
     return folder
 
 
 def work(job: PeerRun) -> PeerScores:
-    """One run, scored."""
+    """Score one run."""
     folder = need_data() / "mot15" / job.sequence
     info = read_seqinfo(folder)
     truth = counted(read_truth(folder / "gt" / "gt.txt"))
@@ -196,7 +195,7 @@ class ComparedRuns:
         return float(np.mean([100 * getattr(one, score) for one in pooled]))
 
     def best(self, case: str, sequence: str, score: str) -> tuple[float, str]:
-        """The best peer's score in points, and its name; NaN where none was scored."""
+        """The best peer's score in points, and its name; NaN if none was scored."""
         rows = [
             row
             for row in self.peers.get((_peers_case(case), sequence), ())
@@ -210,9 +209,7 @@ def _peers_case(case: str) -> str:
 
 
 def _job(case: str, sequence: str, method: str, seed: int, sets: tuple[str, ...] = ()) -> PeerRun:
-    """The run that stands for a seed: real detections and filters that draw nothing need one
-    only.
-    """
+    """The run for a seed; real detections with filters without randomness need only one."""
     if case not in SEQUENCES:
         return PeerRun(
             f"{case}-s{seed}", sequence, method, seed if method == "particle-phd" else 1, sets
@@ -228,10 +225,10 @@ def main(options: Options) -> Path:
     trackers = tuple(TRACKERS)[:2] if quick else tuple(TRACKERS)
     seeds = 1 if quick else SEEDS
     changes = [*PARTS.values(), *([] if quick else NUMBERS.values())]
-    wanted = [TRACKERS[name] for name in trackers] + [(ABLATED, sets) for sets in changes]
+    methods = [TRACKERS[name] for name in trackers] + [(ABLATED, sets) for sets in changes]
     every = (
         _job(case, sequence, method, seed, sets)
-        for method, sets in wanted
+        for method, sets in methods
         for case, names in sequences.items()
         for sequence in names
         for seed in range(1, seeds + 1)
@@ -295,7 +292,7 @@ def _ms(found: ComparedRuns, case: str, method: str, sets: tuple[str, ...]) -> f
 
 
 def _sequence_table(found: ComparedRuns, cases: Sequence[str]) -> str:
-    """Corrected tracks less the best peer in each score, sequence by sequence."""
+    """Scores of corrected tracks minus the best peer's, sequence by sequence."""
     header = (
         "case",
         "sequence",
@@ -319,7 +316,7 @@ def _sequence_table(found: ComparedRuns, cases: Sequence[str]) -> str:
 
 
 def _filters_table(found: ComparedRuns) -> str:
-    """All filters: the means over kinds of detections, and the time of a frame."""
+    """All filters: means over kinds of detections, and the time per frame."""
     cases = {
         "real": [case for case in found.sequences if case in SEQUENCES],
         "uniform clutter": [case for case in found.sequences if case.startswith("u")],
@@ -351,7 +348,7 @@ def _filters_table(found: ComparedRuns) -> str:
 
 
 def _parts_table(found: ComparedRuns, parts: Mapping[str, tuple[str, ...]]) -> str:
-    """Corrected tracks with each part changed, as differences from the shipped defaults."""
+    """Corrected tracks with each part changed, as differences to the defaults."""
     groups = {"real": [case for case in found.sequences if case in SEQUENCES]}
     groups |= {case: [case] for case in found.sequences if case in ("u20", "p20")}
     header = ("change", *(f"{name} {score}" for name in groups for score in SHOWN))
@@ -372,10 +369,10 @@ def _gain(
     """The effect of a change on the default, pooled, in points, and half the width of its 95 %
     interval over the runs.
 
-    By the jackknife: how far the difference moves when one sequence (with drawn clutter: in one
-    seed) is left out (Efron and Tibshirani 1993, 11.5). Of the defaults themselves the score.
+    By the jackknife: the change of the difference if one sequence (with simulated clutter: of one
+    seed) is left out (Efron and Tibshirani 1993, 11.5). For the defaults themselves, the score.
     """
-    given = {
+    runs = {
         which: [
             run.offline
             for case in cases
@@ -389,12 +386,12 @@ def _gain(
 
     def pooled(which: tuple[str, ...], out: int = -1) -> float:
         return 100 * float(
-            getattr(pool([one for k, one in enumerate(given[which]) if k != out]), score)
+            getattr(pool([one for k, one in enumerate(runs[which]) if k != out]), score)
         )
 
     if not sets:
         return pooled(()), 0.0
-    n = len(given[sets])
+    n = len(runs[sets])
     without = (
         np.array([pooled(sets, out) - pooled((), out) for out in range(n)])
         if n > 1

@@ -1,9 +1,9 @@
 """Tracks on the ground plane: PETS09-S2L1 with its real detections and its camera.
 
 World-plane tracks of the Gaussian-mixture filters and of the particle filter, with and without
-occlusion in p_D, next to the tracker in the image as shipped. Foot points are led to the ground by
-the camera and compared with the truth's own columns X, Y (metres). Settings are the shipped ones,
-``motion.kind=plane`` and the camera aside.
+occlusion in p_D, next to the default tracker in the image. Foot points are mapped to the ground by
+the camera and compared with the truth's own columns X, Y (metres). Settings are the defaults,
+except ``motion.kind=plane`` and the camera.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from phdtrack.types import F8, I8, DetectionTable, Tracks
 SEQUENCE = "PETS09-S2L1"
 KINDS = ("public", "frcnn")
 SEEDS = 3
-# Metres: how near is a match, and up to where errors of matched rows are looked at.
+# Metres: largest distance of a match for MOTA and IDF1, and of the matched rows for RMSE.
 NEAR = 1.0
 FAR = 2.0
-# The overlap above which the shipped tracker takes two states for one.
+# The overlap above which the default tracker joins two states.
 JOINED = 0.4
 # MOTChallenge counts pixels from 1.
 FIRST_PIXEL = 1.0
@@ -52,8 +52,8 @@ FIRST_PIXEL = 1.0
 class Variant:
     """A way to track: a filter, on the ground or in the image, with or without occlusion in p_D.
 
-    ``joined``: states whose boxes overlap by more than `JOINED` are one; without, no states are.
-    ``random``: it has seeds.
+    ``joined``: states whose boxes overlap by more than `JOINED` are joined; False: none are.
+    ``random``: the filter depends on a seed.
     """
 
     name: str
@@ -106,9 +106,10 @@ class GroundScores:
 
 @dataclass(frozen=True, slots=True)
 class GroundErrors:
-    """One run: in the image with the tracks' boxes (``own``) and with the detections' boxes where a
-    row rests on one (``taken``), each MOTA, IDF1; on the ground; mean absolute errors of the mass,
-    of the number of states, and the bias of the mass."""
+    """One run: MOTA and IDF1 in the image with the tracks' boxes (``own``) and with the boxes of
+    the detections that rows use (``taken``); scores on the ground; mean absolute errors of the mass
+    and of the number of states, and the bias of the mass.
+    """
 
     own: tuple[float, float]
     taken: tuple[float, float]
@@ -118,7 +119,7 @@ class GroundErrors:
     bias: float
 
     def numbers(self) -> tuple[float, ...]:
-        """In the order of the tables: image, ground, counts."""
+        """The values in the order of the tables: image, ground, counts."""
         g = self.ground
         return (
             *self.own,
@@ -136,8 +137,8 @@ class GroundErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """People on the ground: ``frame`` (M,), ``identity`` (M,), ``point`` (2, M) metres, NaN where
-    the ground is not met.
+    """People on the ground: ``frame`` (M,), ``identity`` (M,), ``point`` (2, M) metres, NaN if the
+    ray does not meet the ground.
     """
 
     frame: I8
@@ -158,13 +159,13 @@ def camera() -> CountedFrom:
 
 
 def camera_file() -> str:
-    """Its file."""
+    """The file of the camera of view 1."""
     return str(need_data() / "pets2009" / "View_001.xml")
 
 
 @lru_cache(maxsize=1)
 def true_places() -> Places:
-    """The columns X, Y of the annotation, of the rows that count."""
+    """Ground positions from the columns X, Y of the annotation, for the rows that count."""
     rows = np.loadtxt(need_data() / "mot15" / SEQUENCE / "gt" / "gt.txt", delimiter=",")
     rows = rows[rows[:, 6] != 0]
     return Places(
@@ -185,8 +186,9 @@ def places_of(rows: Tracks) -> Places:
 
 
 def ground_scene(truth: Places, found: Places, frames: int, near: float) -> SequencePair:
-    """Truth and output side by side as for boxes, with 1 − d/(2 near) of the distance d in place of
-    the overlap (not below 0): an overlap of a half is a distance of ``near``."""
+    """Truth and output side by side as for boxes, with 1 − d/(2 near), at least 0, for the distance
+    d in place of the overlap: an overlap of a half is a distance of ``near``.
+    """
     names, who = np.unique(truth.identity, return_inverse=True)
     outputs, which = np.unique(found.identity, return_inverse=True)
     pairs = []
@@ -200,9 +202,7 @@ def ground_scene(truth: Places, found: Places, frames: int, near: float) -> Sequ
 
 
 def errors(truth: Places, found: Places, far: float) -> F8:
-    """(K,) distances of the pairs matched one to one within ``far`` metres, each frame for
-    itself.
-    """
+    """(K,) distances of the pairs matched one to one within ``far`` metres, frame by frame."""
     out = []
     for number in np.intersect1d(truth.frame, found.frame).tolist():
         a = truth.point[:, truth.frame == number]
@@ -227,7 +227,7 @@ def on_the_ground(truth: Places, found: Places, frames: int) -> GroundScores:
 
 
 def with_detections(tracks: Tracks, found: DetectionTable) -> Tracks:
-    """Rows that rest on a detection take its box."""
+    """The tracks, with the detections' boxes in rows that use one."""
     xyxy = tracks.xyxy.copy()
     held = np.flatnonzero(tracks.detection >= 0)
     first = np.searchsorted(found.frame, tracks.frame[held])
@@ -236,7 +236,7 @@ def with_detections(tracks: Tracks, found: DetectionTable) -> Tracks:
 
 
 def sets_of(variant: Variant) -> tuple[str, ...]:
-    """The settings that a variant changes."""
+    """The settings of a variant."""
     joined = f"extract.merge_iou={JOINED if variant.joined else 1.0}"
     if not variant.plane:
         return (joined,)
@@ -251,40 +251,40 @@ def sets_of(variant: Variant) -> tuple[str, ...]:
 
 
 def work(job: GroundRun) -> GroundErrors:
-    """One run over the sequence."""
-    given = case(job.kind)
+    """Run a variant on the sequence, and compute its errors."""
+    sequence = case(job.kind)
     variant = VARIANTS[job.variant]
-    stages = built(given.info, variant.filter, sets_of(variant))
+    stages = built(sequence.info, variant.filter, sets_of(variant))
     rng = np.random.default_rng(job.seed)
     state = pipeline.start(stages, rng)
-    mass = np.zeros(given.info.frames)
-    states = np.zeros(given.info.frames)
-    for k in range(given.info.frames):
+    mass = np.zeros(sequence.info.frames)
+    states = np.zeros(sequence.info.frames)
+    for k in range(sequence.info.frames):
         state, step = pipeline.advance(
-            stages, state, given.table.at(k + 1), k + 1, k / given.info.fps, rng
+            stages, state, sequence.table.at(k + 1), k + 1, k / sequence.info.fps, rng
         )
         mass[k] = step.info.mass
         states[k] = len(step.estimates)
     tracks = pipeline.finish(stages, state)
-    people = numbers(given.truth.frame, given.info.frames)
+    people = numbers(sequence.truth.frame, sequence.info.frames)
     return GroundErrors(
-        in_the_image(given, tracks),
-        in_the_image(given, with_detections(tracks, given.table)),
-        on_the_ground(true_places(), places_of(tracks), given.info.frames),
+        in_the_image(sequence, tracks),
+        in_the_image(sequence, with_detections(tracks, sequence.table)),
+        on_the_ground(true_places(), places_of(tracks), sequence.info.frames),
         float(np.abs(mass - people).mean()),
         float(np.abs(states - people).mean()),
         float((mass - people).mean()),
     )
 
 
-def in_the_image(given: Case, tracks: Tracks) -> tuple[float, float]:
+def in_the_image(sequence: Case, tracks: Tracks) -> tuple[float, float]:
     """MOTA and IDF1 at IoU 0.5."""
-    scores = evaluate(given.truth, tracks, frames=given.info.frames)
+    scores = evaluate(sequence.truth, tracks, frames=sequence.info.frames)
     return scores.MOTA, scores.IDF1
 
 
 def numbers(frame: I8, frames: int) -> F8:
-    """The scores in the order of the tables: image, ground, counts."""
+    """(frames,) number of rows in each frame."""
     return np.bincount(frame, minlength=frames + 1)[1 : frames + 1].astype(np.float64)
 
 
@@ -353,8 +353,8 @@ def _references() -> list[tuple[str, ...]]:
     """
     truth = true_places()
     out = []
-    given = case(KINDS[0]).truth
-    boxes = Places(given.frame, given.identity, feet(given.xyxy))
+    annotated = case(KINDS[0]).truth
+    boxes = Places(annotated.frame, annotated.identity, feet(annotated.xyxy))
     for name, found in (
         ("annotated boxes", boxes),
         *((f"{kind}, all", _seen(kind)) for kind in KINDS),
@@ -367,18 +367,18 @@ def _references() -> list[tuple[str, ...]]:
 
 
 def _seen(kind: str) -> Places:
-    """Every detection's place; their identities are their numbers."""
+    """The ground position of every detection; identities are row numbers."""
     found = case(kind).table
     return Places(found.frame, np.arange(1, len(found) + 1), feet(found.detections.xyxy))
 
 
 def _raw() -> list[tuple[str, ...]]:
-    """Errors of the number of detections as a count."""
+    """Errors of the raw number of detections as a count of people."""
     out: list[tuple[str, ...]] = []
     for kind in KINDS:
-        given = case(kind)
-        off = numbers(given.table.frame, given.info.frames) - numbers(
-            given.truth.frame, given.info.frames
+        sequence = case(kind)
+        off = numbers(sequence.table.frame, sequence.info.frames) - numbers(
+            sequence.truth.frame, sequence.info.frames
         )
         out.append(
             (

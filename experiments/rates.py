@@ -1,15 +1,16 @@
 """Frame rates: the same settings from one image in five minutes to a hundred a second, and with
 lost frames.
 
-Sequences of 25 and 30 pictures a second are thinned, truth and detections alike, and the tracker is
-told the rate. Peers had the same detections and, where they know such a setting, the rate
+Sequences of 25 and 30 images a second are thinned, truth and detections alike, and the tracker gets
+the rate. Peers had the same detections and, if they have such a setting, the rate
 (`rates_peers.csv`: SORT, ByteTrack, OC-SORT, BoT-SORT and C-BIoU of the package `trackers` 2.6.1
-with their defaults, without pictures, and norfair 2.4.3 with its IoU distance up to 0.7).
+with their defaults, without images, and norfair 2.4.3 with its IoU distance up to 0.7).
 
 For rates above those of the data, truth is interpolated to four times the rate; its detections are
-drawn: 90 % of the boxes, 5 % jitter. Beside it stands every fourth frame of the same detections.
-Where frames are lost, a fifth, the tracker is told the numbers of the others; without loss it had
-all, and both are scored on the frames that were left."""
+simulated: 90 % of the boxes, 5 % jitter. This is compared with every fourth frame of the same
+detections. A fifth of the frames is lost in another test: the tracker gets the numbers of the
+others; without loss it has all frames, and both runs are scored on the remaining ones.
+"""
 
 from __future__ import annotations
 
@@ -33,17 +34,17 @@ from phdtrack.types import F8, SequenceInfo
 
 RATES = ("full", "15", "10", "5")
 OUTPUTS = ("online", "corrected")
-# The sequences whose truth is interpolated, and of how many of their frames.
+# The sequences for interpolation, and the number of their frames.
 FAST = ("basketball-1", "football-1", "MDMT-57-1")
 FAST_FRAMES = 250
 CELLS = ("GOWT1-01", "threshold")
 CELLS_RATE = 1 / 300
-# What is done to a sequence, its name, its detections.
+# The change to a sequence, its name, its detections.
 RateRun = tuple[str, str, str]
 
 
 def rows_of(path: Path) -> F8:
-    """The rows of a MOT file; (0, 9) where it is missing or empty."""
+    """The rows of a MOT file; (0, 9) if it is missing or empty."""
     lines = path.read_text(encoding="utf-8").split() if path.is_file() else []
     return np.array([[float(cell) for cell in line.split(",")[:9]] for line in lines]).reshape(
         len(lines), 9
@@ -51,7 +52,7 @@ def rows_of(path: Path) -> F8:
 
 
 def renumbered(rows: F8, kept: F8) -> F8:
-    """The rows of the frames ``kept``, which are numbered from 1."""
+    """The rows of the frames ``kept``, renumbered from 1."""
     out = rows[np.isin(rows[:, 0], kept)] if len(rows) else rows
     return (
         np.column_stack([np.searchsorted(kept, out[:, 0]) + 1.0, out[:, 1:]]) if len(out) else out
@@ -59,8 +60,8 @@ def renumbered(rows: F8, kept: F8) -> F8:
 
 
 def interpolated(truth: F8, times: int) -> F8:
-    """Truth with ``times`` as many frames: boxes between those of an identity in two frames in a
-    row are in between.
+    """Truth with ``times`` as many frames: boxes of an identity in consecutive frames are
+    interpolated.
     """
     parts = []
     for identity in np.unique(truth[:, 1]):
@@ -75,7 +76,7 @@ def interpolated(truth: F8, times: int) -> F8:
 
 
 def drawn(truth: F8) -> F8:
-    """Detections of truth: 90 % of the boxes, each coordinate off by 5 % of the size, all of score
+    """Simulated detections: 90 % of the boxes, each coordinate jittered by 5 % of the size, score
     1.
     """
     rng = np.random.default_rng(1)
@@ -98,29 +99,31 @@ def tracked(info: SequenceInfo, rows: F8, numbers: F8) -> tuple[Tracks, Tracks]:
 
 def hota(job: RateRun) -> tuple[float, float]:
     """HOTA of the online and of the corrected rows, in points, by the scorer next to the data."""
-    what, sequence, detector = job
+    change, sequence, detector = job
     folder = folder_of(sequence)
     info = read_seqinfo(folder)
     truth, ignored = (rows_of(folder / "gt" / name) for name in ("gt.txt", "ignore.txt"))
-    given = rows_of(folder / f"det_{detector}" / "det.txt")
+    detections = rows_of(folder / f"det_{detector}" / "det.txt")
     fps = CELLS_RATE if sequence == CELLS[0] else info.fps
     kept = every = np.arange(1.0, info.frames + 1)
-    if what in ("fast", "every fourth"):
+    if change in ("fast", "every fourth"):
         ignored = truth[:0]
         truth = interpolated(truth[truth[:, 0] <= FAST_FRAMES], 4)
         kept = every = np.arange(1.0, 4 * FAST_FRAMES - 2)
-        given = drawn(truth)
+        detections = drawn(truth)
         fps = 4 * fps
-    if what in RATES[1:] or what == "every fourth":
-        step = 4 if what == "every fourth" else math.ceil(info.fps / float(what) - 1e-9)
+    if change in RATES[1:] or change == "every fourth":
+        step = 4 if change == "every fourth" else math.ceil(info.fps / float(change) - 1e-9)
         kept = every[::step]
         fps = fps / step
-        truth, ignored, given = (renumbered(rows, kept) for rows in (truth, ignored, given))
+        truth, ignored, detections = (
+            renumbered(rows, kept) for rows in (truth, ignored, detections)
+        )
         kept = every = np.arange(1.0, len(kept) + 1)
-    if what in ("lost", "none lost"):
+    if change in ("lost", "none lost"):
         kept = every[np.append(True, np.random.default_rng(1).random(info.frames - 1) >= 0.2)]
     seen = SequenceInfo(info.width, info.height, fps, len(every))
-    outputs = tracked(seen, given, kept if what == "lost" else every)
+    outputs = tracked(seen, detections, kept if change == "lost" else every)
     with tempfile.TemporaryDirectory() as place:
         root = Path(place) / sequence
         (root / "gt").mkdir(parents=True)
@@ -154,7 +157,7 @@ def peers() -> dict[tuple[str, str, str], float]:
 
 
 def cases_of(quick: bool) -> dict[str, list[tuple[str, str]]]:
-    """The sequences of 25 and more pictures a second with their detections, by group."""
+    """The sequences of at least 25 images a second with their detections, by group."""
     with (bench() / "groups.csv").open(newline="", encoding="utf-8") as file:
         groups = {row["sequence"]: row["group"] for row in csv.DictReader(file)}
     groups |= {name: "MOT15" for those in SEQUENCES.values() for name in those}
@@ -167,7 +170,7 @@ def cases_of(quick: bool) -> dict[str, list[tuple[str, str]]]:
 
 
 def fall(values: Sequence[float]) -> str:
-    """The values at all rates in points."""
+    """The values at all rates as text, in points."""
     return " / ".join(f"{value:.1f}" for value in values)
 
 
@@ -182,15 +185,15 @@ def main(options: Options) -> Path:
         "every fourth": fast,
         "cells": [CELLS],
     }
-    jobs = [(what, *case) for what, those in kinds.items() for case in those]
+    jobs = [(change, *case) for change, those in kinds.items() for case in those]
     found = dict(zip(jobs, in_parallel(hota, jobs, "rates", options), strict=True))
     theirs = peers()
     lines = []
     means = []
     for group, those in groups.items():
-        best = [float(np.mean([theirs[what, *case] for case in those])) for what in RATES]
+        best = [float(np.mean([theirs[change, *case] for case in those])) for change in RATES]
         ours = [
-            [float(np.mean([found[what, *case][k] for case in those])) for what in RATES]
+            [float(np.mean([found[change, *case][k] for case in those])) for change in RATES]
             for k in range(2)
         ]
         means.append([best, *ours])
@@ -204,7 +207,7 @@ def main(options: Options) -> Path:
     for name, (before, after, those) in pairs.items():
         if those:
             values = np.array(
-                [[found[what, *case] for what in (before, after)] for case in those]
+                [[found[change, *case] for change in (before, after)] for case in those]
             ).mean(axis=0)
             more.append([name, len(those), *(f"{a:.1f} → {b:.1f}" for a, b in values.T)])
     return write(

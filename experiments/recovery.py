@@ -1,11 +1,10 @@
-"""What live does when cameras fail: ``python -m experiments.recovery [servers|latency|kills]
-[--quick]``.
+"""Live cameras that fail: ``python -m experiments.recovery [servers|latency|kills] [--quick]``.
 
-``servers``: `phdtrack live` on an RTSP, an MJPEG and an HLS server of this machine, which is killed
-and started again, freezes, accepts and says nothing, slows down, and changes its size. A square
-moves to and fro by the clock, so that times, speeds and identities in the rows can be checked.
-``latency``: from a picture's arrival to its events on disk. ``kills``: `phdtrack live` itself is
-killed at random times and started again. Figures go to runs/reliability, as JSON.
+``servers``: `phdtrack live` on an RTSP, an MJPEG and an HLS server on this machine, which is killed
+and restarted, freezes, accepts without answering, slows down, and changes its size. A square moves
+to and fro by the clock, so that times, speeds and identities in the rows can be checked.
+``latency``: from the arrival of a frame to its events on disk. ``kills``: `phdtrack live` itself is
+killed at random times and restarted. Figures go to runs/reliability, as JSON.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ sys.path.insert(0, str(ROOT / "tests" / "live"))
 from camera_server import CameraServer, HlsServer, RtspServer, square, until, walker  # noqa: E402
 
 OUT = ROOT / "runs" / "reliability"
-# Pixels that the square goes in a second, in a picture of 640 × 480.
+# Speed of the square in pixels per second, in images of 640 × 480.
 SPEED = (640 - 80) / 8
 LIVE = [sys.executable, "-m", "phdtrack", "live", "--set", "detector.min_area=0.005", "--json"]
 
@@ -76,7 +75,7 @@ class Hls(HlsServer):
 
 
 def obey(server: Any, command: str) -> None:
-    """What `rtsp_server.py` does with the command."""
+    """Carry out a command as `rtsp_server.py` does."""
     word, *numbers = command.split()
     if word == "rate":
         server.rate = float(numbers[0])
@@ -90,7 +89,7 @@ SERVERS: dict[str, Callable[[], Any]] = {"mjpeg": Mjpeg, "rtsp": Rtsp, "hls": Hl
 
 
 class Rows:
-    """The rows of detected tracks that `phdtrack live` writes, as they come."""
+    """The rows of detected tracks in the files of `phdtrack live`, read as they grow."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -98,7 +97,7 @@ class Rows:
         self.rows = list[tuple[float, int, float]]()
 
     def newest(self) -> float:
-        """Read on; the time of the newest row, 0 where there is none."""
+        """Read new rows; return the time of the newest one, 0 if there is none."""
         for path in sorted(self._folder.glob("tracks/*.csv*")):
             stem = path.name.removesuffix(".part")
             with path.open() as file:
@@ -107,7 +106,7 @@ class Rows:
             text = text[: text.rfind("\n") + 1]
             self._read[stem] += len(text.encode())
             for row in csv.reader(text.splitlines()):
-                # Confirmed, and seen in the picture.
+                # Confirmed rows that use a detection.
                 if row[0] != "time" and row[10] == "1" and row[9] != "-1":
                     middle = float(row[4]) + float(row[6]) / 2
                     self.rows.append(
@@ -116,7 +115,7 @@ class Rows:
         return self.rows[-1][0] if self.rows else 0.0
 
     def between(self, start: float, end: float) -> np.ndarray:
-        """(N, 3) time, identity and middle of the rows of these times."""
+        """(N, 3) time, identity and centre of the rows between these times."""
         self.newest()
         return np.array([row for row in self.rows if start <= row[0] < end]).reshape(-1, 3)
 
@@ -134,7 +133,7 @@ def running(
 
 
 def resident(pid: int) -> float:
-    """Megabytes."""
+    """Resident memory of a process in megabytes."""
     (line,) = (
         line
         for line in Path(f"/proc/{pid}/status").read_text().splitlines()
@@ -144,13 +143,13 @@ def resident(pid: int) -> float:
 
 
 def steady(seconds: float) -> None:
-    """Wait until the square does not turn for so many seconds."""
+    """Wait until the square will not turn for the next ``seconds``."""
     until(lambda: 0.5 < time.time() % 8 < 7.5 - seconds)
 
 
 @contextmanager
 def mute(server: Any) -> Iterator[None]:
-    """Something else listens at the server's port, accepts, and says nothing."""
+    """Replace the server by one at the same port that accepts connections and never answers."""
     server.kill()
     listening = socket.create_server(("127.0.0.1", server.port))
     held = list[socket.socket]()
@@ -170,24 +169,24 @@ def mute(server: Any) -> Iterator[None]:
     server.restart()
 
 
-def trial(server: Any, what: str, seconds: float) -> None:
-    """One failure of so many seconds."""
-    if what == "killed":
+def trial(server: Any, failure: str, seconds: float) -> None:
+    """Cause one failure for ``seconds``."""
+    if failure == "killed":
         server.kill()
         time.sleep(seconds)
         server.restart()
-    elif what == "mute":
+    elif failure == "mute":
         with mute(server):
             time.sleep(seconds)
     else:
-        there = {"frozen": "freeze", "slow": "rate 1", "size": "size 320 240"}[what]
+        there = {"frozen": "freeze", "slow": "rate 1", "size": "size 320 240"}[failure]
         server.say(there)
         time.sleep(seconds)
-        server.say({"frozen": "thaw", "slow": "rate 25", "size": "size 640 480"}[what])
+        server.say({"frozen": "thaw", "slow": "rate 25", "size": "size 640 480"}[failure])
 
 
 def plan(quick: bool) -> list[tuple[str, float]]:
-    """What is done to each server, and for how many seconds."""
+    """The failures of each server with their seconds."""
     short = (
         [("killed", 0.8)] * 20
         + [("frozen", 1.5)] * 5
@@ -202,27 +201,31 @@ def plan(quick: bool) -> list[tuple[str, float]]:
     )
 
 
-def measured(rows: Rows, what: str, seconds: float, begun: float, back: float) -> dict[str, object]:
-    """What the rows say about a failure from ``begun`` to ``back`` (seconds since 1970)."""
+def measured(
+    rows: Rows, failure: str, seconds: float, begun: float, back: float
+) -> dict[str, object]:
+    """Recovery, identity and speed in the rows after a failure from ``begun`` to ``back`` (seconds
+    since 1970).
+    """
     before = rows.between(begun - 1, begun)
     after = rows.between(back, back + 60)
-    found: dict[str, object] = {"what": what, "seconds": seconds, "gap": round(back - begun, 2)}
+    found: dict[str, object] = {"what": failure, "seconds": seconds, "gap": round(back - begun, 2)}
     found["recovered"] = round(float(after[0, 0]) - back, 3)
     found["kept"] = bool(len(before) and after[0, 1] == before[-1, 1])
-    # The first half second may hold pictures that were sent before.
+    # The first half second may have frames that were sent before.
     still = after[(after[:, 0] > after[0, 0] + 0.5) & (after[:, 0] // 8 == after[0, 0] // 8)]
     if len(still) > 10 and np.ptp(still[:, 0]) > 1:
         found["speed"] = round(
             abs(float(np.polyfit(still[:, 0] - still[0, 0], still[:, 2], 1)[0])) / SPEED, 4
         )
-    if what == "slow":
+    if failure == "slow":
         during = np.diff(np.unique(rows.between(begun + 1.5, back)[:, 0]))
         found["interval"] = round(float(np.median(during)), 3) if len(during) else None
     return found
 
 
 def on_server(name: str, quick: bool) -> dict[str, object]:
-    """All failures of a server, one after the other, under one `phdtrack live`."""
+    """Cause all failures of a server, one after the other, during one `phdtrack live`."""
     server = SERVERS[name]()
     out = Path(tempfile.mkdtemp())
     rows = Rows(out / "cam")
@@ -231,30 +234,30 @@ def on_server(name: str, quick: bool) -> dict[str, object]:
     with running([f"cam={server.url}", "--out", str(out), "--no-page"]) as child:
         until(lambda: rows.newest())
         time.sleep(5)
-        for k, (what, seconds) in enumerate(plan(quick)):
+        for k, (failure, seconds) in enumerate(plan(quick)):
             steady(min(seconds + 2.5, 6.5))
             begun = time.time()
-            trial(server, what, seconds)
+            trial(server, failure, seconds)
             back = time.time()
             until(lambda back=back: rows.newest() >= back, 90.0)
             time.sleep(2.5 + 0.5 * random.random())
-            found.append(measured(rows, what, seconds, begun, back))
+            found.append(measured(rows, failure, seconds, begun, back))
             memory.append(round(resident(child.pid), 1))
             print(name, k, found[-1], memory[-1], f"load {os.getloadavg()[0]:.1f}", flush=True)
-        asked = time.monotonic()
+        signalled = time.monotonic()
         child.send_signal(signal.SIGTERM)
         status = child.wait(60)
-        ended = time.monotonic() - asked
+        ended = time.monotonic() - signalled
     server.kill()
     server.end()
     times = {
-        what: [one["recovered"] for one in found if one["what"] == what]
-        for what in dict(plan(quick))
+        failure: [one["recovered"] for one in found if one["what"] == failure]
+        for failure in dict(plan(quick))
     }
     speeds = [one["speed"] for one in found if "speed" in one]
     return {
         "recovered_median_worst": {
-            what: (float(np.median(each)), max(each)) for what, each in times.items()
+            failure: (float(np.median(each)), max(each)) for failure, each in times.items()
         },
         "kept_short_gaps": [
             sum(bool(one["kept"]) for one in found if one["gap"] < 3),
@@ -268,7 +271,7 @@ def on_server(name: str, quick: bool) -> dict[str, object]:
 
 
 def latency(quick: bool) -> dict[str, object]:
-    """Median and 99 % in milliseconds of one camera, and of four."""
+    """Median and 99 % quantile of the latency in milliseconds, with one camera and with four."""
     found = dict[str, object]()
     for cameras in (1, 4):
         servers = [Mjpeg() for _ in range(cameras)]
@@ -281,14 +284,14 @@ def latency(quick: bool) -> dict[str, object]:
             until(lambda rows=rows: all(one.newest() for one in rows))
             time.sleep(5 if quick else 90)
 
-            def asked(k: int, port: int = port) -> dict[str, Any]:
+            def status_of(k: int, port: int = port) -> dict[str, Any]:
                 with urllib.request.urlopen(
                     f"http://127.0.0.1:{port}/api/camera/cam{k}", timeout=60
                 ) as answer:
-                    said: dict[str, Any] = json.load(answer)
-                    return said
+                    status: dict[str, Any] = json.load(answer)
+                    return status
 
-            answers = [asked(k) for k in range(cameras)]
+            answers = [status_of(k) for k in range(cameras)]
             child.send_signal(signal.SIGTERM)
             child.wait(60)
         for server in servers:
@@ -304,7 +307,9 @@ def latency(quick: bool) -> dict[str, object]:
 
 
 class Hook(BaseHTTPRequestHandler):
-    """Takes events; `taken` of its server holds identifier and event of each that was confirmed."""
+    """Receives events; `taken` of its server has the identifier and content of each confirmed
+    one.
+    """
 
     def do_POST(self) -> None:
         event = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
@@ -316,7 +321,7 @@ class Hook(BaseHTTPRequestHandler):
 
 
 def kills(quick: bool) -> dict[str, object]:
-    """Kill `phdtrack live` again and again on one folder, and look at all that it wrote and
+    """Kill `phdtrack live` repeatedly on one folder, and check everything that it wrote and
     sent.
     """
     camera = CameraServer()
@@ -326,7 +331,7 @@ def kills(quick: bool) -> dict[str, object]:
     threading.Thread(target=hook.serve_forever, daemon=True).start()
     out = Path(tempfile.mkdtemp())
     generator = random.Random(20)
-    said = list[dict[str, Any]]()
+    events = list[dict[str, Any]]()
     folder = out / "cam"
     found = Counter[str]()
     (out / "places.toml").write_text(
@@ -348,7 +353,7 @@ def kills(quick: bool) -> dict[str, object]:
     generator.shuffle(names)
     for k, name in enumerate([*names, "SIGTERM"]):
         more = ["--parquet"] if k % 5 == 4 else []
-        had = len(said)
+        had = len(events)
         with (out / "said").open("w+b") as stdout, running([*words, *more], stdout) as child:
             if k % 4 or k == len(names):
                 until(lambda stdout=stdout: b'"identity"' in Path(stdout.name).read_bytes())
@@ -365,22 +370,22 @@ def kills(quick: bool) -> dict[str, object]:
                     len(list(out.rglob("*.part"))) if status == 0 else 0
                 )
             text = (out / "said").read_bytes()
-        said += [json.loads(line) for line in text[: text.rfind(b"\n") + 1].splitlines()]
+        events += [json.loads(line) for line in text[: text.rfind(b"\n") + 1].splitlines()]
         if folder.exists():
             look(folder, found)
-        print(k, name, len(said) - had, dict(found), flush=True)
+        print(k, name, len(events) - had, dict(found), flush=True)
     camera.kill()
     hook.shutdown()
     return {
         "folder": str(out),
         "runs": len(names) + 1,
-        **checked(folder, said, hook.taken),
+        **checked(folder, events, hook.taken),
         **found,
     }  # type: ignore[attr-defined]
 
 
 def look(folder: Path, found: Counter[str]) -> None:
-    """Count what cannot be read among what has its final name."""
+    """Count unreadable files among those with their final name."""
     from pyarrow import parquet
 
     from phdtrack.video import open_source
@@ -410,7 +415,7 @@ def look(folder: Path, found: Counter[str]) -> None:
 
 
 def checked(
-    folder: Path, said: list[dict[str, Any]], taken: list[tuple[str, dict[str, Any]]]
+    folder: Path, events: list[dict[str, Any]], deliveries: list[tuple[str, dict[str, Any]]]
 ) -> dict[str, object]:
     """Whether files, table, lines on stdout and the webhook agree."""
     import sqlite3
@@ -421,9 +426,9 @@ def checked(
         json.loads(text) for (text,) in base.execute("SELECT event FROM events ORDER BY rowid")
     ]
     base.close()
-    told = [event for event in said if event["kind"] != "source"]
+    camera_events = [event for event in events if event["kind"] != "source"]
     names = {event["id"] for event in kept}
-    received = Counter(name for name, _ in taken)
+    received = Counter(name for name, _ in deliveries)
 
     def content(event: dict[str, Any]) -> str:
         return json.dumps(
@@ -437,14 +442,14 @@ def checked(
         "file and table differ": kept != table,
         "identifiers twice in the file": len(kept) - len(names),
         "one event under two identifiers": sum(number > 1 for number in twice.values()),
-        "said on stdout and lost": sum(event["id"] not in names for event in told),
-        "said on stdout": len(told),
+        "said on stdout and lost": sum(event["id"] not in names for event in camera_events),
+        "said on stdout": len(camera_events),
         "delivered and not in the file": sum(name not in names for name in received),
         "in the file and never delivered": sum(name not in received for name in names),
         "delivered more than once, under the same identifier": sum(
             number > 1 for number in received.values()
         ),
-        "order of deliveries differs": list(dict.fromkeys(name for name, _ in taken))
+        "order of deliveries differs": list(dict.fromkeys(name for name, _ in deliveries))
         != [event["id"] for event in kept],
         "in order": [event["time"] for event in kept] == sorted(event["time"] for event in kept),
     }
@@ -461,20 +466,20 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--server", action="append", choices=tuple(SERVERS), help="only this one; repeatable"
     )
-    given = parser.parse_args(words)
+    parsed = parser.parse_args(words)
     OUT.mkdir(parents=True, exist_ok=True)
-    for part in given.part:
+    for part in parsed.part:
         if part == "servers":
-            for name in given.server or SERVERS:
-                write("recovery", {name: on_server(name, given.quick)})
+            for name in parsed.server or SERVERS:
+                write("recovery", {name: on_server(name, parsed.quick)})
         elif part == "latency":
-            write("recovery", {"latency": latency(given.quick)})
+            write("recovery", {"latency": latency(parsed.quick)})
         else:
-            write("kills-live", kills(given.quick))
+            write("kills-live", kills(parsed.quick))
 
 
 def write(name: str, found: dict[str, object]) -> None:
-    """Put figures into a file beside those that are there."""
+    """Add figures to a file."""
     path = OUT / f"{name}.json"
     before = json.loads(path.read_text()) if path.exists() else {}
     path.write_text(json.dumps(before | found, indent=1, ensure_ascii=False) + "\n")

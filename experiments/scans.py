@@ -1,20 +1,20 @@
 """Shared parts of the simulated point scenarios: one filter over one realisation, many runs, their
 scores.
 
-OSPA is one distance between two sets of points, for where they are and how many (Schuhmacher, Vo,
-Vo 2008):
+OSPA is a distance between two sets of points that covers positions and number (Schuhmacher, Vo, Vo
+2008):
 
     OSPA(x, y) = [ 1/max(n, m) ( min_π Σ min(d(x_i, y_π(i)), c)^p + c^p |n − m| ) ]^(1/p)
 
-where π maps the smaller set into the larger; c is the price of a point too many. Two empty sets are
-at distance 0. (Stone Soup maps for the least Σ min(d, c) whatever p is, and so gives more than the
-least for p > 1 at times.) With order 1 it has two parts: the cut-off distances of the pairs, and c
-for each state too many or too few, both over the larger number.
+where π maps the smaller set into the larger; c is the cost of an extra point. Two empty sets have
+distance 0. (Stone Soup minimises Σ min(d, c) for every p, so for p > 1 its value is sometimes above
+the minimum.) With order 1 it has two parts: the cut-off distances of the pairs, and c for each
+extra or missing state, both divided by the larger number.
 
-GOSPA (α = 2, order 1) is a sum instead: the distances of the pairs, and c/2 for each target missed
-and each state too many. T-GOSPA is the same of whole trajectories, with γ/2 for each mapping that
-begins or ends (`metrics.tgospa`), here per scan. Filters with labels have trajectories: each
-one's states by its label, the last word about every scan.
+GOSPA (α = 2, order 1) is a sum instead: the distances of the pairs, and c/2 for each missed target
+and each extra state. T-GOSPA is the same for whole trajectories, with γ/2 for each mapping that
+begins or ends (`metrics.tgospa`), here per scan. Filters with labels have trajectories: the states
+of each label, in their final form for every scan.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from phdtrack.protocols import Extractor, Filter, Model
 from phdtrack.types import F8, I8, Estimates
 
 Stages = tuple[Filter[Any], Extractor[Any]]
-# The PMB filter of these scenarios: one noise and one agility for all targets, which are never
-# hidden; no clutter that stays.
+# The PMB filter of these scenarios: one noise and one acceleration for all targets, no occlusion,
+# no static clutter.
 PLAIN_PMB = PMB(
     gate_probability=GATE,
     mean_visible_time=0.0,
@@ -53,8 +53,8 @@ PLAIN_PMB = PMB(
 
 @dataclass(frozen=True, slots=True)
 class FilterRun:
-    """One run of one ``filter`` in one ``case`` of a scenario; ``seed`` decides the scans, whatever
-    the filter.
+    """One run of one ``filter`` in one ``case`` of a scenario; ``seed`` is that of the scans, the
+    same for all filters.
     """
 
     filter: str
@@ -65,7 +65,7 @@ class FilterRun:
 @dataclass(frozen=True, slots=True, eq=False)
 class Realisation:
     """Scans of a scenario: (m, N) measurements and (d, n) true states of each, and the model that
-    filters are given.
+    the filters have.
 
     ``identity`` (n,) of the true states of each; ``interval`` seconds between scans, ``cutoff``
     metres of the OSPA distance.
@@ -84,8 +84,8 @@ class SetErrors:
     """Per scan: ``ospa`` and its part ``number`` in metres, ``error``, the number of states minus
     that of targets, and ``gospa``.
 
-    ``seconds`` of processor time that filter and extraction took for a scan. ``trajectories``: the
-    T-GOSPA of a filter with labels in metres and a scan, and its parts.
+    ``seconds`` of processor time of filter and extraction per scan. ``trajectories``: the T-GOSPA
+    of a filter with labels in metres and a scan, and its parts.
     """
 
     ospa: F8
@@ -105,64 +105,66 @@ def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
     return float(((cost[cheapest(cost)].sum() + c**p * abs(n - m)) / max(n, m, 1)) ** (1 / p))
 
 
-def followed(given: Realisation, stages: Stages, seed: int) -> Iterator[tuple[Estimates, float]]:
+def followed(realised: Realisation, stages: Stages, seed: int) -> Iterator[tuple[Estimates, float]]:
     """The states that a filter reports in each scan, and the processor time in seconds."""
     recursion, extractor = stages
     rng = np.random.default_rng([seed, 1])
-    state = recursion.start(given.model, rng)
-    for z in given.scans:
+    state = recursion.start(realised.model, rng)
+    for z in realised.scans:
         began = time.thread_time()
-        state, _ = recursion.step(state, z, given.model, given.interval, rng)
-        found = extractor.extract(state, z, given.model)
+        state, _ = recursion.step(state, z, realised.model, realised.interval, rng)
+        found = extractor.extract(state, z, realised.model)
         yield found, time.thread_time() - began
 
 
-def measured(given: Realisation, reports: Iterable[tuple[Estimates, float]]) -> SetErrors:
-    """The errors of the ``reports`` of the scans, the result of `followed`."""
-    scans = len(given.scans)
-    told = list[Estimates]()
+def measured(realised: Realisation, reports: Iterable[tuple[Estimates, float]]) -> SetErrors:
+    """The errors of the ``reports``, the result of `followed`."""
+    scans = len(realised.scans)
+    final = list[Estimates]()
     distance, number, error, sums, seconds = (np.zeros(scans) for _ in range(5))
     for k, (found, spent) in enumerate(reports):
-        truth = given.truth[k]
+        truth = realised.truth[k]
         n = truth.shape[1]
         m = found.state.shape[1]
-        distance[k] = ospa(found.state[:2], truth[:2], given.cutoff)
-        number[k] = given.cutoff * abs(n - m) / max(n, m, 1)
-        # Order 1, one c of the number for each too many or too few, of which a half is GOSPA's.
-        sums[k] = distance[k] * max(n, m, 1) - 0.5 * given.cutoff * abs(n - m)
+        distance[k] = ospa(found.state[:2], truth[:2], realised.cutoff)
+        number[k] = realised.cutoff * abs(n - m) / max(n, m, 1)
+        # Order 1: OSPA counts c for each extra or missing state, GOSPA c/2.
+        sums[k] = distance[k] * max(n, m, 1) - 0.5 * realised.cutoff * abs(n - m)
         error[k] = m - n
         seconds[k] = spent
-        # The first layer of a past is the one before the first scan.
+        # The first layer of the past is before the first scan.
         for back, then in enumerate(reversed(found.past[-k:] if k else ()), start=1):
-            told[k - back] = told[k - back] if then is None else then
-        told.append(found)
+            final[k - back] = final[k - back] if then is None else then
+        final.append(found)
     trajectories = (
-        _trajectories(given, told)
-        if all(len(one.tag) == one.state.shape[1] for one in told)
+        _trajectories(realised, final)
+        if all(len(one.tag) == one.state.shape[1] for one in final)
         else None
     )
     # The first scans compile.
     return SetErrors(distance, number, error, sums, float(np.median(seconds)), trajectories)
 
 
-def _trajectories(given: Realisation, told: Sequence[Estimates]) -> TGospaParts:
-    """The T-GOSPA of what was told of the scans in the end, in metres and a scan; γ is as large as
-    c.
+def _trajectories(realised: Realisation, final: Sequence[Estimates]) -> TGospaParts:
+    """The T-GOSPA of the ``final`` estimates of the scans, per scan, in metres; γ is as large
+    as c.
     """
-    labels = np.unique(np.concatenate([one.tag for one in told]))
-    people = np.unique(np.concatenate(given.identity))
-    there = np.zeros((len(told), len(people)), np.bool_)
-    reported = np.zeros((len(told), len(labels)), np.bool_)
-    distance = np.ones((len(told), len(people), len(labels)))
-    for k, (one, truth, identity) in enumerate(zip(told, given.truth, given.identity, strict=True)):
+    labels = np.unique(np.concatenate([one.tag for one in final]))
+    people = np.unique(np.concatenate(realised.identity))
+    there = np.zeros((len(final), len(people)), np.bool_)
+    reported = np.zeros((len(final), len(labels)), np.bool_)
+    distance = np.ones((len(final), len(people), len(labels)))
+    for k, (one, truth, identity) in enumerate(
+        zip(final, realised.truth, realised.identity, strict=True)
+    ):
         i = np.searchsorted(people, identity)
         j = np.searchsorted(labels, one.tag)
         there[k, i] = True
         reported[k, j] = True
         apart = np.hypot(*(truth[:2, :, None] - one.state[:2, None, :]))
-        distance[k][np.ix_(i, j)] = apart / given.cutoff
+        distance[k][np.ix_(i, j)] = apart / realised.cutoff
     parts = tgospa(distance, there, reported, 1.0)
-    scale = given.cutoff / len(told)
+    scale = realised.cutoff / len(final)
     return TGospaParts(*(scale * value for value in dataclasses.astuple(parts)))
 
 
@@ -177,8 +179,7 @@ def measure(
     options: Options,
 ) -> RunErrors:
     """``runs`` runs of every pair of a case and a filter, from seed 0."""
-    # Seed by seed: several processes then begin with different filters, and each kernel is compiled
-    # once.
+    # Seed by seed, so that processes start with different filters and each kernel is compiled once.
     jobs = [
         FilterRun(name, case, seed)
         for seed in range(max(runs.values()))
@@ -251,8 +252,8 @@ COMPARED = (("gm-cphd", "gm-phd"), *PARTICLES, ("mht", "gm-cphd"), ("pmb", "mht"
 
 
 def apart(ours: Sequence[SetErrors], theirs: Sequence[SetErrors]) -> Interval:
-    """Mean difference of the OSPA, run by run where both have one on the same scans, and its 95 %
-    interval.
+    """Mean difference of the OSPA over the runs that both filters have on the same scans, and its
+    95 % interval.
     """
     return interval([a.ospa.mean() - b.ospa.mean() for a, b in zip(ours, theirs, strict=False)])
 
@@ -281,7 +282,7 @@ def compared(
     label: str,
     options: Options,
 ) -> RunErrors:
-    """``runs`` runs of every case with every filter; in the short form only of the first case."""
+    """Run every case with every filter ``runs`` times; in the short form only the first case."""
     cases = dict(list(runs.items())[: 1 if options.quick else None])
     return measure(
         run, {(case, name): n for case, n in cases.items() for name in filters}, label, options
@@ -289,8 +290,8 @@ def compared(
 
 
 def tables(found: RunErrors, elsewhere: Mapping[tuple[str, str], str]) -> dict[str, str]:
-    """Errors of every filter in every case beside those of other implementations, of trajectories,
-    differences of pairs.
+    """Tables: errors of every filter in every case next to other implementations' values,
+    trajectories, and differences of pairs.
     """
     rows = []
     claims = []
@@ -313,7 +314,7 @@ def tables(found: RunErrors, elsewhere: Mapping[tuple[str, str], str]) -> dict[s
 
 
 def _life(outcomes: Sequence[SetErrors]) -> tuple[str, ...]:
-    """The T-GOSPA of the runs with half the width of its 95 % interval, and its parts."""
+    """Mean T-GOSPA of the runs with half the width of its 95 % interval, and its parts."""
     parts = np.array([dataclasses.astuple(o.trajectories) for o in outcomes if o.trajectories])
     whole = interval(parts[:, 0].tolist())
     return f"{whole.mean:.1f} ± {whole.half:.1f}", *(

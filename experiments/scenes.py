@@ -1,7 +1,8 @@
 """Learned scenes with the default filter: the effect of births and false alarms added to the usual
 ones, part by part.
 
-Scenes of 20 000 rendered frames and real sequences; the first half teaches, the second tests.
+Rendered scenes of 20 000 frames and real sequences; the first half is for training, the second for
+testing.
 """
 
 from __future__ import annotations
@@ -40,10 +41,10 @@ from experiments.m09_scenes import (
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
 
-# Rendered scenes are long: one seed, whose intervals are over quarters of the stretch.
+# Rendered scenes are long: one seed, with intervals over quarters of the frames.
 SEEDS = 3
 LONG_SEEDS = 1
-# Of the second half of a rendered scene, for the sweep and for other filters.
+# Frames of the second half of a rendered scene for the sweep and for other filters.
 QUARTER = 2500
 RUNS = (UM, GM, *ABLATIONS)
 SCORES = ("MODA", "MODP", "MOTA", "MOTP")
@@ -53,8 +54,8 @@ FINDINGS = (("A2", "A1"), ("A5", "A4"), (GM, "A2"), ("A6", GM))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneResults:
-    """All runs; ``scenes`` by name, what was ``learned`` of each at each seed, seconds a frame by
-    scene.
+    """All runs; ``scenes`` by name, the ``learned`` densities of each for each seed, seconds per
+    frame by scene.
     """
 
     scenes: Mapping[str, Halves]
@@ -71,12 +72,12 @@ class SceneResults:
         return [self.runs_[SceneRun(scene, seed, run)] for seed in range(1, self.seeds(scene) + 1)]
 
     def short_run(self, scene: str, run: str) -> SceneScores:
-        """The scores on the stretch on which uniform rates are compared, of the first seed."""
+        """The scores on the frames on which uniform rates are compared, for the first seed."""
         return self.runs_[SceneRun(scene, 1, run, frames=short_of(self.scenes[scene]))]
 
     def pooled(self, scenes: Sequence[str], run: str) -> list[Scores]:
-        """The scores over all ``scenes``: for each seed, or for each quarter of the stretch where
-        there is one seed.
+        """The scores over all ``scenes``: for each seed, or for each quarter of the frames if there
+        is one seed.
         """
         each = [self._parts(scene, run) for scene in scenes]
         return [pool(some) for some in zip(*each, strict=True)]
@@ -86,9 +87,9 @@ class SceneResults:
         return [one.scores for one in runs] if len(runs) > 1 else runs[0].blocks
 
     def gain(self, scenes: Sequence[str], run: str, score: str) -> Interval:
-        """A score of a run less that of the uniform model, pooled over the ``scenes``.
+        """A score of a run minus that of the uniform model, pooled over the ``scenes``.
 
-        The mean is that of all frames; the interval is over seeds, or quarters of the stretch.
+        The mean is that of all frames; the interval is over seeds, or quarters of the frames.
         """
         ours = self.pooled(scenes, run)
         theirs = self.pooled(scenes, UM)
@@ -158,24 +159,24 @@ def main(options: Options) -> Path:
     """Run everything and write scenes.md and its pictures."""
     names = RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
     quick = options.quick
-    wanted = [(name, SHORT if quick else FRAMES) for name in names]
+    scene_jobs = [(name, SHORT if quick else FRAMES) for name in names]
     scenes = dict(
         zip(
             names,
-            in_parallel(halves, wanted, "scenes, rendering and detecting", options),
+            in_parallel(halves, scene_jobs, "scenes, rendering and detecting", options),
             strict=True,
         )
     )
     seeds = {name: options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) for name in names}
     lessons = [(name, seed) for name in names for seed in range(1, seeds[name] + 1)]
-    given = [(scenes[name], seed) for name, seed in lessons]
+    lesson_jobs = [(scenes[name], seed) for name, seed in lessons]
     learned = dict(
-        zip(lessons, in_parallel(learn, given, "scenes, learning", options), strict=True)
+        zip(lessons, in_parallel(learn, lesson_jobs, "scenes, learning", options), strict=True)
     )
     runs = runs_of(scenes, seeds, quick)
     jobs = [(run, scenes[run.scene], learned[run.scene, run.seed]) for run in runs]
     scored = dict(zip(runs, in_parallel(work, jobs, "scenes", options), strict=True))
-    # One at a time, without other runs next to them as far as this command goes.
+    # One at a time, without other runs of this command.
     timings = {}
     for name in (name for name in (RENDERED[0], REAL[0]) if name in names):
         both = [
@@ -191,9 +192,11 @@ def main(options: Options) -> Path:
 
 
 def draw(found: SceneResults, out: Path) -> None:
-    """The pictures."""
-    shown = {name: scene for name, scene in found.scenes.items() if name in RENDERED}
-    maps = {name: (picture(scene), found.learned[name, 1]) for name, scene in shown.items()}
+    """Draw the pictures."""
+    rendered_scenes = {name: scene for name, scene in found.scenes.items() if name in RENDERED}
+    maps = {
+        name: (picture(scene), found.learned[name, 1]) for name, scene in rendered_scenes.items()
+    }
     m09_pictures.maps(maps, out / "scenes-maps.png")
     runs = (GM, *ABLATIONS)
     gains = {
@@ -229,12 +232,12 @@ def figures(found: SceneResults) -> dict[str, object]:
 
 
 def number(value: float) -> str:
-    """With one digit, or a dash for none."""
+    """The number with one digit; a dash for NaN."""
     return f"{value:.1f}" if np.isfinite(value) else "–"
 
 
 def _findings(found: SceneResults) -> str:
-    """MOTA of one run less that of another, scene by scene."""
+    """MOTA of one run minus that of another, scene by scene."""
     rows = [
         (
             scene,

@@ -1,19 +1,19 @@
-"""A day of video time, as fast as it goes: memory and speed of ``phdtrack track`` on a pipe and of
+"""A day of video time, as fast as possible: memory and speed of ``phdtrack track`` on a pipe and of
 a live camera.
 
     python -m experiments.soak track --hours 24
     python -m experiments.soak live --hours 24
     python -m experiments.soak pause
 
-Ten targets that come back all the time, one detection in ten missing, and false alarms whose rate
-goes up and down between none and six a frame within five minutes, at 25 frames a second. After each
-hour of video time its resident memory and its processor time are noted. Processor time on a shared
-machine says little by itself: beside it stands that of a fresh tracker on the same frames in the
-same minutes, and what must not grow is the ratio.
+Ten targets that return again and again, one detection in ten missing, and a false-alarm rate that
+varies between none and six a frame within five minutes, at 25 frames a second. After each hour of
+video time the resident memory and the processor time are recorded. Processor time on a shared
+machine is hard to interpret, so it is compared with that of a fresh tracker on the same frames in
+the same minutes: the ratio must not grow.
 
-`pause` says for how long a checkpoint keeps `phdtrack track` and a camera waiting, and how large it
-is, after 1 000 and after 20 000 frames with ten targets: milliseconds, the median and the longest
-of the last hundred, and MB.
+`pause` measures for how long a checkpoint interrupts `phdtrack track` and a camera, and its size,
+after 1 000 and after 20 000 frames with ten targets: milliseconds, the median and the longest of
+the last hundred, and MB.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ WIDTH = 640
 HEIGHT = 360
 TARGETS = 10
 SIZE = np.array([16.0, 36.0])
-# Frames between two measurements of a fresh tracker, and frames of each.
+# Frames between measurements of a fresh tracker, and frames of each.
 _EVERY = 7500
 _FRESH = 250
 ROW = "{},-1,{:.2f},{:.2f},{:.2f},{:.2f},{:.2f}\n"
@@ -81,9 +81,9 @@ def boxes(seed: int = 0) -> Iterator[np.ndarray]:
 
 @dataclass(slots=True)
 class Hour:
-    """After so many hours of video time: seconds that the last one took, on the clock and of the
-    processor; what a fresh tracker would have taken in the same minutes; and resident memory in
-    MB."""
+    """State after a number of hours of video time: elapsed and processor seconds of the last one;
+    those of a fresh tracker in the same minutes; and resident memory in MB.
+    """
 
     hour: float
     wall: float
@@ -94,7 +94,7 @@ class Hour:
 
 @dataclass(slots=True)
 class Watching:
-    """Notes an hour when it is over, of a process by its number; 0: this one."""
+    """Records each completed hour of a process, by its number; 0: this process."""
 
     process: int
     per_hour: int
@@ -104,7 +104,7 @@ class Watching:
     _own: float = 0.0
 
     def frame(self, number: int) -> None:
-        """A frame is through."""
+        """Count a processed frame."""
         if number == 1:
             self._before = time.monotonic(), self._cpu()
         if number % min(_EVERY, self.per_hour) == 0:
@@ -143,14 +143,12 @@ def resident(process: int = 0) -> float:
 
 
 def fresh_tracker() -> float:
-    """Processor seconds of this thread for the frames 51 … 50 + `_FRESH` of a tracker that has just
-    begun.
-    """
+    """Processor seconds of this thread for the frames 51 … 50 + `_FRESH` of a new tracker."""
     tracker = Tracker((WIDTH, HEIGHT), fps=FPS)
-    given = boxes(1)
+    stream = boxes(1)
     for _ in range(50):
-        tracker.update(next(given))
-    frames = [next(given) for _ in range(_FRESH)]
+        tracker.update(next(stream))
+    frames = [next(stream) for _ in range(_FRESH)]
     began = time.thread_time()
     for one in frames:
         tracker.update(one)
@@ -158,7 +156,7 @@ def fresh_tracker() -> float:
 
 
 def track(hours: float, per_hour: int, folder: Path) -> list[Hour]:
-    """The command line, given rows on its standard input."""
+    """Run the command line with rows on its standard input."""
     size = f"{WIDTH}x{HEIGHT}"
     command = [
         sys.executable,
@@ -177,10 +175,10 @@ def track(hours: float, per_hour: int, folder: Path) -> list[Hour]:
     ) as process:
         assert process.stdin is not None
         watching = Watching(process.pid, per_hour)
-        given = boxes()
+        stream = boxes()
         for number in range(1, round(hours * per_hour) + 1):
             rows = [
-                (number, x, y, r - x, b - y, score) for x, y, r, b, score in next(given).tolist()
+                (number, x, y, r - x, b - y, score) for x, y, r, b, score in next(stream).tolist()
             ]
             process.stdin.write("".join(ROW.format(*row) for row in rows).encode())
             watching.frame(number)
@@ -191,7 +189,7 @@ def track(hours: float, per_hour: int, folder: Path) -> list[Hour]:
 
 
 class _Replayed:
-    """A source whose pictures come when the one before is through, at the times of 25 a second."""
+    """A source that gives a frame when the previous one is done, with times of 25 a second."""
 
     def __init__(self, last: int, through: Callable[[int], None]) -> None:
         self.last = last
@@ -204,7 +202,7 @@ class _Replayed:
     def stop(self) -> None: ...
 
     def next(self, timeout: float) -> LiveFrame | None:
-        """The next picture."""
+        """The next frame."""
         if self.number:
             self._through(self.number)
         if self.number >= self.last:
@@ -215,14 +213,14 @@ class _Replayed:
         return LiveFrame(self.number, self.number / FPS, _WALL + self.number / FPS, self._image)
 
     def status(self) -> SourceStatus:
-        """Always at work."""
+        """A status that is always working."""
         return SourceStatus(
             "live", frames=max(100, self.number), fps=FPS, width=WIDTH, height=HEIGHT
         )
 
 
 class _Given:
-    """A detector that has the boxes."""
+    """A detector that returns prepared boxes."""
 
     def __init__(self) -> None:
         self._boxes = boxes()
@@ -235,7 +233,7 @@ class _Given:
 
 
 def live(hours: float, per_hour: int, folder: Path) -> list[Hour]:
-    """A camera with a line and a zone, video, files by the hour and a quota, in this process."""
+    """Run a camera with a line and a zone, video, hourly files and a quota, in this process."""
     middle = Place("middle", ((WIDTH / 2, HEIGHT), (WIDTH / 2, 0.0)), closed=False)
     corner = Place(
         "corner",
@@ -277,7 +275,7 @@ def _pictures(last: int) -> VideoSource:
 
 
 class _Timed(DetectionLog):
-    """Notes the seconds for which each checkpoint keeps the run waiting."""
+    """A log that records for how many seconds each checkpoint interrupts the run."""
 
     waits: tuple[float, ...] = ()
 
@@ -290,8 +288,8 @@ class _Timed(DetectionLog):
 
 
 def pause(frames: int, folder: Path) -> dict[str, float]:
-    """Of a video's detector and of a camera's tracker, which remembers 60 s, after so many
-    frames.
+    """Pauses and sizes for a video's detector and for a camera's tracker with a history of 60 s,
+    after ``frames`` frames.
     """
     source = _pictures(frames)
     directory = claim(folder / f"run{frames}", overwrite=False, name="soak")
@@ -310,10 +308,10 @@ def pause(frames: int, folder: Path) -> dict[str, float]:
         "log, bytes a frame": directory.file(LOG).stat().st_size / frames,
     }
     tracker = Tracker((WIDTH, HEIGHT), fps=FPS, associate={"history": 60})
-    given = boxes()
+    stream = boxes()
     began = list[float]()
     for number in range(1, frames + 1):
-        tracker.update(next(given))
+        tracker.update(next(stream))
         if number > frames - 100:
             clock = time.perf_counter()
             later = tracker.snapshot()
@@ -323,7 +321,7 @@ def pause(frames: int, folder: Path) -> dict[str, float]:
 
 
 def main() -> None:
-    """Run one part; the result goes into a file."""
+    """Run one part; write the result into a file."""
     out = argparse.ArgumentParser(prog="python -m experiments.soak", description=__doc__)
     out.add_argument("part", choices=("track", "live", "pause"))
     out.add_argument("--hours", type=int, default=24)
@@ -331,22 +329,22 @@ def main() -> None:
         "--minutes", type=float, default=60.0, help="of video time in what counts as an hour"
     )
     out.add_argument("--out", type=Path, default=Path("runs/reliability"))
-    given = out.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    if given.part == "pause":
+    parsed = out.parse_args()
+    parsed.out.mkdir(parents=True, exist_ok=True)
+    if parsed.part == "pause":
         with tempfile.TemporaryDirectory() as folder:
             pauses = {frames: pause(frames, Path(folder)) for frames in (1000, 20_000)}
-        (given.out / "soak-pause.json").write_text(json.dumps(pauses, indent=1) + "\n")
+        (parsed.out / "soak-pause.json").write_text(json.dumps(pauses, indent=1) + "\n")
         print(json.dumps(pauses, indent=1))
         return
     with tempfile.TemporaryDirectory(
-        dir=given.out.parent if given.out.parent.is_dir() else None
+        dir=parsed.out.parent if parsed.out.parent.is_dir() else None
     ) as folder:
-        hours = {"track": track, "live": live}[given.part](
-            given.hours, round(given.minutes * 60 * FPS), Path(folder)
+        hours = {"track": track, "live": live}[parsed.part](
+            parsed.hours, round(parsed.minutes * 60 * FPS), Path(folder)
         )
-    result = {"minutes": given.minutes, "hours": [asdict(one) for one in hours]}
-    (given.out / f"soak-{given.part}.json").write_text(json.dumps(result, indent=1) + "\n")
+    result = {"minutes": parsed.minutes, "hours": [asdict(one) for one in hours]}
+    (parsed.out / f"soak-{parsed.part}.json").write_text(json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 Gaussians and by particles.
 
 The scenario is `standard_scenes.linear_gaussian`: twelve targets over 100 scans, clutter uniform
-over the region. Every filter is given its true parameters. A section of vo.md.
+over the region. All filters have its true parameters. A section of vo.md.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ ELSEWHERE = {
 PER_TARGET = 1500
 NEWBORN = 500
 AGILITY = "pmb, agility found"
-# Targets that start together lie in one place: without a number a peak counts as often as its mass
-# says.
+# Targets that start together have the same position: without a distribution of the number, a peak
+# counts as often as its mass implies.
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
     "gm-cphd": (GMCPHD(1e-5, 2.0, 100), Components()),
@@ -70,7 +70,7 @@ FILTERS: dict[str, Stages] = {
     "particle-cphd": (ParticleCPHD(PER_TARGET), Mixture(merge_iou=1.0)),
     "mht": (MHT(), BestHypothesis()),
     "pmbm": (PMBM(), BestHypothesis(smoothed=True)),
-    # Of points p_D is constant, and nothing fires in one place.
+    # p_D of points is constant, and there is no static clutter.
     "pmb": (PLAIN_PMB, BestBernoullis(merge_iou=0.5)),
     "gm-phd, anywhere": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
     AGILITY: (
@@ -80,34 +80,36 @@ FILTERS: dict[str, Stages] = {
 }
 
 
-def world(given: LinearGaussian) -> Model:
+def world(scenario: LinearGaussian) -> Model:
     """The scenario's parameters as a model; metres, seconds."""
-    mean = given.birth_mean
-    spread = np.tile(given.birth_sd**2 * np.eye(4), (mean.shape[1], 1, 1))
-    birth = GaussianMixture(np.full(mean.shape[1], given.birth_weight), mean, spread)
+    mean = scenario.birth_mean
+    spread = np.tile(scenario.birth_sd**2 * np.eye(4), (mean.shape[1], 1, 1))
+    birth = GaussianMixture(np.full(mean.shape[1], scenario.birth_weight), mean, spread)
     return Model(
-        PlaneMotion(given.sd_acceleration, given.p_survive ** (1 / given.interval), "piecewise"),
+        PlaneMotion(
+            scenario.sd_acceleration, scenario.p_survive ** (1 / scenario.interval), "piecewise"
+        ),
         PlaneSensor(
-            given.p_detect, "fixed", given.sd_position, birth_speed=2**0.5 * given.birth_sd
+            scenario.p_detect, "fixed", scenario.sd_position, birth_speed=2**0.5 * scenario.birth_sd
         ),
         FixedBirth(birth, NEWBORN),
-        UniformClutter(given.clutter_rate, (2 * given.half_width) ** 2),
+        UniformClutter(scenario.clutter_rate, (2 * scenario.half_width) ** 2),
         rate=1.0,
     )
 
 
 def realisation(case: str, seed: int) -> Realisation:
-    """The scans of one seed, each measurement with its covariance as the plane's sensor takes
+    """The scans of one seed, each measurement with its covariance, as the plane's sensor expects
     it.
     """
     scene = linear_gaussian(np.random.default_rng(seed), *CASES[case])
-    given = scene.model
-    variance = np.array([[given.sd_position**2], [0.0], [given.sd_position**2]])
+    scenario = scene.model
+    variance = np.array([[scenario.sd_position**2], [0.0], [scenario.sd_position**2]])
     scans = tuple(
         np.vstack([place, np.tile(variance, place.shape[1])]) for place in scene.measurement
     )
     return Realisation(
-        world(given), scans, scene.state, scene.identity, given.interval, given.ospa_cutoff
+        world(scenario), scans, scene.state, scene.identity, scenario.interval, scenario.ospa_cutoff
     )
 
 
@@ -119,19 +121,19 @@ def anywhere(model: Model) -> PlaneBirth:
 
 
 def run(job: FilterRun) -> SetErrors:
-    """One filter over one realisation."""
-    given = realisation(job.case, job.seed)
+    """Run one filter on one realisation."""
+    realised = realisation(job.case, job.seed)
     if "anywhere" in job.filter:
-        given = replace(given, model=replace(given.model, birth=anywhere(given.model)))
-    return measured(given, followed(given, FILTERS[job.filter], job.seed))
+        realised = replace(realised, model=replace(realised.model, birth=anywhere(realised.model)))
+    return measured(realised, followed(realised, FILTERS[job.filter], job.seed))
 
 
 def section(options: Options) -> str:
-    """Measure and draw; the section of the page."""
+    """Measure and draw; return the section of the page."""
     number = {case: options.number(RUNS if case == EASY else SIDE, FEW) for case in CASES}
     found = compared(run, number, tuple(FILTERS), "linear", options)
     targets = np.array([truth.shape[1] for truth in realisation(EASY, 0).truth])
-    # Variants would be on top of the filters that they are of.
+    # Variants would cover the curves of their filters.
     drawn = {name: found[EASY, name] for name in FILTERS if "," not in name}
     curves(drawn, targets, options.folder / "vo-linear-ospa.png")
     return filled("standard", particles=PER_TARGET, agility=AGILITY, **tables(found, ELSEWHERE))

@@ -8,16 +8,15 @@ measurements with 10 m of noise, Poisson clutter uniform over the region. State 
 in m and m/s, measurement z = (px, py).
 
 *Turning*, in the form with ten targets that came into use with later filters of its authors: 100
-scans of 1 s, a sensor at the origin that looks at the half disc y ≥ 0 of radius 2000 m, Poisson
+scans of 1 s, a sensor at the origin that observes the half disc y ≥ 0 of radius 2000 m, Poisson
 clutter uniform in bearing and range. State x = (px, py, vx, vy, ω) in m, m/s and rad/s,
 anticlockwise; measurement z = (θ, r), θ from the y axis towards the x axis. Targets turn at
-constant rate and speed: the truth has no process noise, the filters' model has. The literature runs
-this scene with several noises. The defaults are those that go with the ten targets (σ_w = 5 m/s²,
+constant rate and speed: the truth has no process noise, the filters' model has. The literature has
+several noises for this scene. The defaults are those of the version with ten targets (σ_w = 5 m/s²,
 σ_θ = 2°, σ_r = 10 m, λ = 20); Vo and Ma's are σ_w = 15 m/s² and σ_r = 20 m, others have σ_θ = 1°,
 σ_r = 5 m and λ = 10. p_D is 0.98 everywhere; some let it fall with the range, over 2000 m
 (`Turning.fade`). A target is at its start in its first scan; published scripts move it by one step
-before. One target is up to 82 m out of the half disc for a while, and is detected there all the
-same.
+before. One target is up to 82 m outside the half disc for a while, and is detected there too.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ TURNING_LAST = np.array([100, 100, 100, 66, 80, 100, 100, 80, 100, 100])
 
 @dataclass(frozen=True, slots=True)
 class LinearGaussian:
-    """The model that filters are given for this scenario, and its evaluation.
+    """The model of the filters for this scenario, and its evaluation.
 
     Attributes
     ----------
@@ -108,15 +107,15 @@ class LinearGaussian:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointScene(Generic[M]):
-    """One realisation; the entries of the tuples are the scans, of which the first is scan 1.
+    """One realisation; the entries of the tuples are the scans, starting with scan 1.
 
     Attributes
     ----------
-    model : the settings it was made with.
+    model : its settings.
     state : per scan (d, n) the true states.
-    identity : per scan (n,) who they are, from 1, in the order of the table.
+    identity : per scan (n,) identities from 1, in the order of the table.
     measurement : per scan (2, N) in random order.
-    source : per scan (N,) the identity that each measurement came from, 0 for clutter.
+    source : per scan (N,) the identity of each measurement's target, 0 for clutter.
     """
 
     model: M
@@ -131,12 +130,12 @@ def linear_gaussian(
 ) -> PointScene[LinearGaussian]:
     """One realisation of the scenario; the truth is the same in all.
 
-    Detections, clutter and order draw from streams of their own, spawned from ``rng``: the targets'
+    Detections, clutter and order have separate random streams, spawned from ``rng``: the targets'
     measurements do not depend on ``clutter_rate``.
 
     Raises
     ------
-    InputError : ``p_d`` is no probability or ``clutter_rate`` is negative.
+    InputError : ``p_d`` is not a probability, or ``clutter_rate`` is negative.
     """
     model = LinearGaussian(p_detect=p_d, clutter_rate=clutter_rate)
     half = model.half_width
@@ -160,8 +159,7 @@ def realised(
     rate: float,
     rng: np.random.Generator,
 ) -> PointScene[M]:
-    """Scans of targets at (d, n) states with (n,) identities: what is seen of them, among what is
-    not of them.
+    """Scans of targets with (d, n) states and (n,) identities: their measurements among clutter.
 
     Parameters
     ----------
@@ -169,13 +167,14 @@ def realised(
     truth : per scan (d, n) states and (n,) identities.
     measure : of states (d, n) and independent standard normal draws (2, n), the measurements (2,
         n).
-    p_detect : (n,) probabilities that they are seen.
-    clutter : that many false measurements, (2, count); ``rate`` are expected in a scan.
+    p_detect : (n,) detection probabilities.
+    clutter : draws a number of false measurements (2, count); ``rate`` is the expected number per
+        scan.
     rng : streams for targets, clutter and order are spawned from it.
 
     Raises
     ------
-    InputError : ``rate`` is no rate, or a probability is none.
+    InputError : ``rate`` is not a rate, or a probability is invalid.
     """
     if not 0 <= rate < np.inf or not all(
         ((p := p_detect(state)) >= 0).all() and (p <= 1).all() for state, _ in truth
@@ -201,7 +200,7 @@ def realised(
 
 
 def linear_states(scan: int, interval: float = 1.0) -> tuple[F8, I8]:
-    """States (4, n) and identities (n,) of the targets that are there in ``scan``, from 1."""
+    """States (4, n) and identities (n,) of the targets present in ``scan``, from 1."""
     there = present(scan, LINEAR_FIRST, LINEAR_LAST)
     state = LINEAR_START[there].T.copy()
     state[:2] += state[2:] * (scan - LINEAR_FIRST[there]) * interval
@@ -209,13 +208,13 @@ def linear_states(scan: int, interval: float = 1.0) -> tuple[F8, I8]:
 
 
 def present(scan: int, first: I8, last: I8) -> I8:
-    """(n,) which targets are there in ``scan``."""
+    """(n,) which targets are present in ``scan``."""
     return np.flatnonzero((scan >= first) & (scan <= last))
 
 
 @dataclass(frozen=True, slots=True)
 class Turning:
-    """The model that filters are given for this scenario, and its evaluation.
+    """The model of the filters for this scenario, and its evaluation.
 
     Attributes
     ----------
@@ -224,8 +223,8 @@ class Turning:
     sd_acceleration : σ_w in m/s²: Q = σ_w² B Bᵀ with B = (T²/2, T) per axis.
     sd_turn : σ_u in rad/s, of the change of the turn rate over a second.
     sd_bearing, sd_range : σ_θ in radians and σ_r in metres of the measurements.
-    p_survive, p_detect, clutter_rate : p_S, p_D at the sensor's place, and expected clutter points
-        per scan.
+    p_survive, p_detect, clutter_rate : p_S, p_D at the sensor, and expected clutter points per
+        scan.
     fade : metres over which p_D falls, as exp(−r²/2 fade²); 0: it does not.
     birth_weight : of each birth Gaussian, at `birth_mean`.
     birth_sd : standard deviations of the components of each of them.
@@ -264,12 +263,12 @@ def turning(rng: np.random.Generator, model: Turning | None = None) -> PointScen
     """One realisation of the scenario, by its defaults or the ``model``; the truth is the same in
     all.
 
-    Detections, clutter and order draw from streams of their own, spawned from ``rng``: the targets'
+    Detections, clutter and order have separate random streams, spawned from ``rng``: the targets'
     measurements do not depend on the clutter.
 
     Raises
     ------
-    InputError : p_D is no probability or the clutter's rate is negative.
+    InputError : p_D is not a probability, or the clutter rate is negative.
     """
     model = model or Turning()
     spread = np.array([[model.sd_bearing], [model.sd_range]])
@@ -301,7 +300,7 @@ def _seen(state: F8, model: Turning) -> F8:
 
 
 def turning_states(scan: int, interval: float = 1.0) -> tuple[F8, I8]:
-    """States (5, n) and identities (n,) of the targets that are there in ``scan``, from 1: on their
+    """States (5, n) and identities (n,) of the targets present in ``scan``, from 1, on their
     circles and lines.
     """
     there = present(scan, TURNING_FIRST, TURNING_LAST)
@@ -311,8 +310,8 @@ def turning_states(scan: int, interval: float = 1.0) -> tuple[F8, I8]:
     velocity = start[2] + 1j * start[3]
     rate = start[4]
     round_ = rate != 0
-    # With the plane's points as complex numbers the velocity turns by exp(iωt), and the way is its
-    # integral.
+    # With points of the plane as complex numbers, the velocity turns by exp(iωt), and the path is
+    # its integral.
     turn = np.exp(1j * rate * time)
     way = np.where(round_, (turn - 1) / np.where(round_, 1j * rate, 1), time)
     place = place + way * velocity

@@ -1,7 +1,7 @@
 """The standard linear-Gaussian scenario with p_D and λ unknown, or λ wrong by a factor of three: a
 section of vo.md.
 
-The filter begins with wrong rates and learns them from the scans (`learned_rates`), or keeps them.
+The filter starts with wrong rates and learns them from the scans (`learned_rates`), or keeps them.
 p_D is learned from the tracks: those of the association, or the MHT's own.
 """
 
@@ -35,14 +35,13 @@ from phdtrack.types import Detections, Estimates
 
 RUNS = 8
 FEW = 2
-# What an image-based tracker begins with without further knowledge: the package's own p_D, ten
-# false alarms a scan.
+# Usual initial values of an image-based tracker: the package's own p_D, ten false alarms a scan.
 P_DETECT = 0.8
 CLUTTER = 10.0
 FILTERS = ("gm-phd", "gm-cphd", "particle-phd", "mht", "pmb")
 LABELLED = ("mht", "pmb")
-# Scans until a detection is judged and after which one counts for 37 %; over which tracks are
-# linked, and the probability that a target goes on for another scan without a state.
+# Scans until a detection is labelled, and after which one counts for 37 %; scans over which tracks
+# are linked, and the probability that a target continues for another scan without a state.
 WAIT = 3.0
 MEMORY = 600.0
 SPAN = 5.0
@@ -50,7 +49,7 @@ MISS = 0.5
 RATES = RatesSettings(
     detection=True, clutter=True, cautious=False, memory=MEMORY, update_interval=0.0
 )
-# Half the side of a target's box, metres: any.
+# Half the side of a target's box in metres; any value will do.
 _HALF = 0.3
 
 
@@ -80,7 +79,7 @@ UNKNOWN = "unknown, learned"
 
 
 def begun(model: Model, start: Start) -> Model:
-    """The model that the filter begins with."""
+    """The model with the initial values of the filter."""
     if start.p_detect:
         model = replace(model, sensor=with_rate(model.sensor, start.p_detect))
     if isinstance(model.clutter, UniformClutter):
@@ -90,7 +89,7 @@ def begun(model: Model, start: Start) -> Model:
 
 
 def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStages:
-    """Filter and extraction with tracks and, where it ``learns``, rates."""
+    """The stages: filter and extraction, tracks and, if it ``learns``, rates."""
     learning: Learning[Any] | None = None
     if learns:
         learning = RateLearning(RatesLearning(RATES, priors_of(model), WAIT))
@@ -102,34 +101,36 @@ def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStag
     return Whole(model, *stages, associator, learning, longest_interval=0.0)
 
 
-def followed(given: Realisation, stages: AnyStages, seed: int) -> Iterator[tuple[Estimates, float]]:
-    """(d, n) states of each scan, and the seconds of processor time that they took."""
+def followed(
+    realised: Realisation, stages: AnyStages, seed: int
+) -> Iterator[tuple[Estimates, float]]:
+    """The estimates of each scan, and their seconds of processor time."""
     rng = np.random.default_rng([seed, 1])
     state = pipeline.start(stages, rng)
-    for k, z in enumerate(given.scans, start=1):
+    for k, z in enumerate(realised.scans, start=1):
         began = time.thread_time()
         place = z[:2].T
         found = Detections.of(np.hstack([place - _HALF, place + _HALF]))
-        state, step = pipeline.advance(stages, state, found, k, k * given.interval, rng)
+        state, step = pipeline.advance(stages, state, found, k, k * realised.interval, rng)
         yield step.estimates, time.thread_time() - began
 
 
 def run(job: FilterRun) -> SetErrors:
-    """One filter from one start over one realisation."""
+    """Run one filter from one start on one realisation."""
     case, start = job.case.split(" | ")
-    given = standard.realisation(case, job.seed)
-    wanted = STARTS[start]
+    realised = standard.realisation(case, job.seed)
+    values = STARTS[start]
     stages = whole(
-        begun(given.model, wanted),
+        begun(realised.model, values),
         standard.FILTERS[job.filter],
-        wanted.learns,
+        values.learns,
         job.filter in LABELLED,
     )
-    return measured(given, followed(given, stages, job.seed))
+    return measured(realised, followed(realised, stages, job.seed))
 
 
 def section(options: Options) -> str:
-    """Measure; the section of the page."""
+    """Measure; return the section of the page."""
     number = options.number(RUNS, FEW)
     cases, filters = (
         (tuple(standard.CASES)[:1], FILTERS[:1])

@@ -1,11 +1,11 @@
 """From a video to tracks: `phdtrack track` on real video, with and without the filter.
 
 PETS09-S2L1 with three detectors, TUD-Campus and CAVIAR's shop corridor with two, rendered scenes
-with leaves and light with the change detector; shipped defaults for all. And three videos whose
-truth is a mask of what moves, with whose scorer (`bench/score_masks.py` next to the real sequences)
-the boxes of the tracks are compared. Last, what each part of the change detector is worth: the same
-without that part. The run directories are kept under runs/videos/, to be looked at. They are made
-anew each time, but for what was detected.
+with moving leaves and light with the change detector; defaults for all. Also three videos whose
+truth is masks of the moving regions, scored by `bench/score_masks.py` next to the real sequences.
+Finally the contribution of each part of the change detector: the same without that part. The run
+directories are kept under runs/videos/ for inspection. They are made again each time, except for
+the detections.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from phdtrack.video import VideoSource, VideoWriter, open_source
 
 FILTERS = ("none", "pmb")
 SCORES = ("MODA", "MODP", "MOTA", "MOTP", "IDF1", "HOTA")
-# With leaves and light that move; a thousand frames of each.
+# With moving leaves and light; a thousand frames of each.
 RENDERED = ("yard", "garden", "arcade")
 # The short form's.
 SHORT = "TUD-Campus"
@@ -68,18 +68,18 @@ VIDEOS = (
     *(Video(name, f"{name}/scene.mp4", f"{name}/gt/gt.txt", "change") for name in RENDERED),
 )
 MASKS = ("cdnet-highway", "cdnet-traffic-jitter")
-# In the first frames of this one nothing moves but a tree.
+# In the first frames of this one only a tree moves.
 TREE = "wallflower-WavingTrees"
 EMPTY = 242
-# Videos that are shaken by so many pixels (one deviation), as a camera is in the wind.
+# Videos to be shaken, with the standard deviations in pixels, like a camera in the wind.
 SHAKEN = ("PETS09-S2L1", "TUD-Campus")
 PIXELS = (1, 3, 6)
-# The command line with a change detector that takes every camera to stand still.
+# The command line with a change detector that assumes a fixed camera.
 _STANDING = """from phdtrack.cli.app import main
 from phdtrack.detect.change import ChangeDetector
 ChangeDetector._stabilise = lambda self, pictures: pictures
 main()"""
-# Parts of the change detector that are left out in turn, and what the page calls them.
+# Parts of the change detector that are left out in turn, with their names on the page.
 PARTS = {
     "file": "all that samples of the whole file teach: reference, modes, heights",
     "hidden": (
@@ -108,12 +108,12 @@ class VideoRun:
         return self.runs / f"{self.video.name}-{self.video.detector}{without}"
 
     def path(self, name: str) -> str:
-        """The video or its truth: a rendered one lies among the runs."""
+        """The video or its truth; those of a rendered scene are among the runs."""
         return str((self.runs if self.video.name in RENDERED else need_data()) / name)
 
 
 def detect(job: VideoRun) -> None:
-    """Detect once per video and detector; what is there already is used again."""
+    """Detect once per video and detector; existing detections are reused."""
     video = job.video
     out = job.found
     if video.name in RENDERED and not Path(job.path(video.source)).exists():
@@ -132,7 +132,7 @@ def detect(job: VideoRun) -> None:
 
 
 def lacking(part: str, source: VideoSource) -> Detector:
-    """The change detector as `phdtrack track` has it for a file, without one of the `PARTS`."""
+    """The change detector of `phdtrack track` for a file, without one of the `PARTS`."""
     blobs = {part: 0.0} if part in ("join", "split") else {}
     detector = make_detector(
         "change", max_width=working_width("change", None, source.info), **blobs
@@ -154,23 +154,23 @@ def lacking(part: str, source: VideoSource) -> Detector:
 
 
 def work(job: VideoRun) -> dict[str, object]:
-    """One run of the command line on the video and its detections; its JSON."""
+    """Run the command line on the video and its detections; return its JSON."""
     video = job.video
     filter_name = job.filter
     found = job.found
-    given: tuple[str, ...] = (
+    options: tuple[str, ...] = (
         "--detections",
         str(found / "detections.csv"),
         "--filter",
         filter_name,
     )
-    given = (*given, "--truth", job.path(video.truth)) if video.truth else given
-    # The command does not know which detector has made the boxes of a file.
-    given = (*given, "--preset", usual_preset("box", filter_name, video.detector))
+    options = (*options, "--truth", job.path(video.truth)) if video.truth else options
+    # The command does not know which detector made the boxes of a file.
+    options = (*options, "--preset", usual_preset("box", filter_name, video.detector))
     text = _phdtrack(
         "track",
         job.path(video.source),
-        *given,
+        *options,
         "--out",
         str(found / filter_name),
         "--overwrite",
@@ -181,8 +181,8 @@ def work(job: VideoRun) -> dict[str, object]:
 
 
 def masked(job: tuple[str, Path]) -> list[object]:
-    """A video with masks: found, false boxes a frame, tracks, and those of which most boxes are
-    false; not known is "–".
+    """Track a video with masks; return found, false boxes a frame, tracks, and tracks with mostly
+    false boxes; "–" if unknown.
     """
     name = job[0]
     out = job[1] / job[0]
@@ -206,15 +206,15 @@ def worth(job: VideoRun) -> str:
 
 
 def shaken(job: tuple[str, int, Path]) -> list[object]:
-    """A video that is shaken by so many pixels: MOTA and IDF1 as shipped, and without the look at
-    how it shakes.
+    """Shake a video by a number of pixels; return MOTA and IDF1 with defaults, and with the camera
+    assumed to be fixed.
     """
     name, pixels, runs = job
     video = next(one for one in VIDEOS if one.name == name)
     folder = runs / f"{name}-shaken-{pixels}"
     paths = VideoRun(video, "pmb", runs)
     _shake(paths.path(video.source), paths.path(video.truth), pixels, folder)
-    given = [
+    arguments = [
         "track",
         str(folder / "video.mp4"),
         "--truth",
@@ -227,7 +227,7 @@ def shaken(job: tuple[str, int, Path]) -> list[object]:
     row = list[object]([f"{name}, {pixels} pixels"])
     for command in (["-m", "phdtrack"], ["-c", _STANDING]):
         done = subprocess.run(
-            [sys.executable, *command, *given, *out], capture_output=True, text=True, check=True
+            [sys.executable, *command, *arguments, *out], capture_output=True, text=True, check=True
         )
         scores = json.loads(done.stdout)["scores"]
         row += [float(scores[key] or 0.0) for key in ("MOTA", "IDF1")]
@@ -235,7 +235,9 @@ def shaken(job: tuple[str, int, Path]) -> list[object]:
 
 
 def _shake(source: str, truth: str, pixels: float, folder: Path) -> None:
-    """Write video.mp4 and gt.txt of a sequence with each frame shifted, much as the one before."""
+    """Write video.mp4 and gt.txt of a sequence with each frame shifted at random, correlated with
+    the previous one.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     frames = open_source(source)
     rows = np.loadtxt(truth, delimiter=",")
@@ -269,10 +271,10 @@ def _by_masks(name: str, out: Path) -> list[object]:
         ]
     scorer = need_data().parent / "bench" / "score_masks.py"
     command = [sys.executable, str(scorer), str(folder), str(out / "tracks.csv")]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     pattern = r"found ([\d.]+) .*false ([\d.]+) boxes a frame, tracks (\d+), false (\d+)"
-    match = re.search(pattern, said)
-    assert match is not None, said
+    match = re.search(pattern, printed)
+    assert match is not None, printed
     return [name, float(match[1]), float(match[2]), int(match[3]), int(match[4])]
 
 
@@ -322,7 +324,7 @@ def main(options: Options) -> Path:
 
 
 def _parts(videos: Sequence[Video], options: Options, runs: Path) -> str:
-    """The table of what the parts of the change detector are worth."""
+    """The table of the contributions of the parts of the change detector."""
     seen = [video for video in videos if video.detector == "change"]
     if not options.quick:
         seen += [Video(name, f"video/{name}/{name}.mp4", "", "change") for name in (*MASKS, TREE)]

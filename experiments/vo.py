@@ -1,4 +1,6 @@
-"""The standard scenarios of Vo's papers, linear and not, and with rates unknown: every filter."""
+"""The standard scenarios of Vo's papers, linear and nonlinear, and with unknown rates, for every
+filter.
+"""
 
 from __future__ import annotations
 
