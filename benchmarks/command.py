@@ -1,10 +1,12 @@
 """The first command of most users, `phdtrack track VIDEO`, against a plain loop:
 OpenCV's MOG2, SORT and cv2.VideoWriter.
 
-    python -m benchmarks.command [WIDTHxHEIGHT …]      print one line for each size, with and
-    without annotated video python -m benchmarks.command --loop VIDEO OUT      the plain loop by
-    itself; prints frames a second (OUT "-": no video) python -m benchmarks.command --detect VIDEO
-    milliseconds a frame of `change` as the command has it, and of MOG2
+    python -m benchmarks.command [WIDTHxHEIGHT …]
+        print one line for each size, with and without annotated video
+    python -m benchmarks.command --loop VIDEO OUT
+        the plain loop by itself; prints frames a second (OUT "-": no video)
+    python -m benchmarks.command --detect VIDEO
+        milliseconds a frame of `change` as the command has it, and of MOG2
 
 The videos are made on the spot: people-like figures cross a still scene with the noise of a camera.
 Frames a second are those of run.json, from the first frame up to the report, and of the loop alone:

@@ -1,10 +1,12 @@
 """Measures the memory of one filter in a process of its own, started by `benchmarks.memory`; prints
 JSON.
 
-    python -m benchmarks.memory_process peak TARGETS        peak of a step over what was there, and
-    particles python -m benchmarks.memory_process flat FRAMES         resident memory along a
-    sequence of 10 targets python -m benchmarks.memory_process tracker FRAMES      the same of a
-    whole `Tracker`
+    python -m benchmarks.memory_process peak TARGETS
+        peak of a step over the memory before it, and the number of particles
+    python -m benchmarks.memory_process flat FRAMES
+        resident memory along a sequence of 10 targets
+    python -m benchmarks.memory_process tracker FRAMES
+        the same of a whole `Tracker`
 
 Linux tells both numbers: VmRSS, and VmHWM, its peak, which can be set back.
 """

@@ -201,8 +201,8 @@ class Particles:
 
     Attributes
     ----------
-    state : (d, L) float64.      weight : (L,) float64 ≥ 0, whose sum is the expected number of
-        targets.
+    state : (d, L) float64.
+    weight : (L,) float64 ≥ 0, whose sum is the expected number of targets.
     start : (R + 1,) where runs of neighbouring particles begin, 0 … L; (0,) where the order says
         nothing.
     """
@@ -528,8 +528,8 @@ class Tracks:
 
     Attributes
     ----------
-    frame : (M,) int64 from 1.        identity : (M,) int64 from 1.        xyxy : (M, 4) float64,
-        pixels.
+    frame, identity : (M,) int64 from 1.
+    xyxy : (M, 4) float64, pixels.
     confidence : (M,) float64 in [0, 1].
     detection : (M,) `Detections.row` of the detection that the row rests on: its index among the
         detections of that frame as the caller gave them; −1: predicted or bridged.

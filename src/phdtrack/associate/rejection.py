@@ -2,9 +2,8 @@
 than false tracks.
 
 A track is a false alarm's or a target's for good, and false alarms stay where they are. So the
-likelihood ratio of a track is the least of the places that it has been at, and it is confirmed from
-the first row on at which this is below
-1. Rows before are left out.
+likelihood ratio of a track is the least of the places that it has been at, and the track is
+confirmed from the first row at which this is below one. Rows before are left out.
 
 Online, tracks are confirmed after some states, because most of what is detected once or twice is
 false. A track that has been where false alarms of any kind are rare is confirmed at once.

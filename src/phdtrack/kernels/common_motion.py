@@ -5,8 +5,8 @@ of the image.
 middle. With e_ij the difference of detection j from what target i predicts, of centre and
 logarithms of the size, and its linear map B_i,
 
-    p(e_ij|θ) = Student's t (e_ij − B_i θ; S_i),    target i is missed, or gives one:  1 − p_D +
-    (p_D/λ) Σ_j p(e_ij|θ)
+    p(e_ij|θ) = Student's t (e_ij − B_i θ; S_i)
+    target i is missed, or gives one:  1 − p_D + (p_D/λ) Σ_j p(e_ij|θ)
 
 with λ the mean density of detections. The prior of each component of θ is a t-distribution, or
 Gaussian, about 0. θ is found by expectation-maximisation: hidden are which detection is whose, and

@@ -10,8 +10,10 @@ variances", SDV), because large objects in the image accelerate faster [M09 (11)
 constants ("fixed variances", FV). The papers print T²/2 and T for an interval T, under which a gap
 of two frames is not two steps of one. The covariance used is
 
-    position  a² (T³/3 − min(T, T³)/12)     position, velocity  a² T²/2     velocity  a² T      size
-    b² T
+    position             a² (T³/3 − min(T, T³)/12)
+    position, velocity   a² T²/2
+    velocity             a² T
+    size                 b² T
 
 equal to the papers' at T = 1 and, for whole T, to T of their steps. For T < 1 the subtracted term
 keeps it positive semidefinite with one noise an axis, as printed.
