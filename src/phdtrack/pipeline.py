@@ -147,7 +147,12 @@ def advance(
     online_boxes = None
     if stages.online:
         online_boxes, tracks = stages.online.advance(
-            state.online_boxes, tracks, detections, number, time
+            state.online_boxes,
+            tracks,
+            detections,
+            number,
+            time,
+            stages.associator.oldest(association),
         )
     step = Step(
         number,

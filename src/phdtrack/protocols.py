@@ -452,7 +452,13 @@ class OnlineBoxes(Protocol):
         """The state before the first frame."""
 
     def advance(
-        self, state: Any, tracks: Tracks, detections: Detections, number: int, time: float
+        self,
+        state: Any,
+        tracks: Tracks,
+        detections: Detections,
+        number: int,
+        time: float,
+        oldest: int,
     ) -> tuple[Any, Tracks]:
         """The state after the frame, and the rows with the boxes that are shown.
 
@@ -462,6 +468,7 @@ class OnlineBoxes(Protocol):
         tracks, detections : online rows, of this frame or with an output delay of earlier ones;
             detections of this frame.
         number, time : of this frame; seconds.
+        oldest : number of the first frame of which rows may still come.
         """
 
     def shown(self, state: Any, tracks: Tracks) -> tuple[Any, Tracks]:

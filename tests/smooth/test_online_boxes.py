@@ -94,7 +94,7 @@ def shown(detector: float, filtered: float, frames: int = 300, targets: int = 5,
             np.ones(targets),
             np.argsort(order),
         )
-        state, rows = online.advance(state, rows, detections, number, time)
+        state, rows = online.advance(state, rows, detections, number, time, number)
         errors.append(np.square(rows.xyxy - true).mean())
     return np.mean(errors[frames // 2 :]), state.share
 
@@ -123,7 +123,7 @@ def test_rows_without_detection_are_unchanged(rng):
     online = DetectionShare()
     box = np.array([[10.0, 20, 30, 60], [50, 50, 80, 120]])
     rows = Tracks.of(np.array([1, 1]), np.array([1, 2]), box, np.ones(2), np.array([-1, 0]))
-    _, out = online.advance(online.start(), rows, Detections.of(box[1:] + 2), 1, 0.0)
+    _, out = online.advance(online.start(), rows, Detections.of(box[1:] + 2), 1, 0.0, 1)
     np.testing.assert_array_equal(out.xyxy, [box[0], box[1] + 1])
 
 
@@ -143,6 +143,23 @@ def test_delayed_rows_use_detections_of_their_own_frames():
     assert (np.abs(a - z) <= MOST * np.abs(m - z) + 1e-9).all()
     assert np.abs(a - m).max() > 0.1
     np.testing.assert_array_equal(rows.xyxy[~held], without.xyxy[~held])
+
+
+def test_frames_without_tracks_are_not_kept_for_ever():
+    online = DetectionShare()
+    state = online.start()
+    found = Detections.of(np.array([[10.0, 20, 30, 60]]))
+    for number in range(1, 101):
+        oldest = max(1, number - 4)
+        state, _ = online.advance(state, Tracks.empty(), found, number, number / 25, oldest)
+    assert [frame[0] for frame in state.waiting] == [96, 97, 98, 99, 100]
+
+
+def test_empty_frames_are_not_kept():
+    tracker = tracker_of(preset="default", associate={"output_delay": 3})
+    for _ in range(20):
+        tracker.update(np.zeros((0, 4)))
+    assert tracker.state.online_boxes.waiting == ()
 
 
 def _named(rows: Tracks, scene):

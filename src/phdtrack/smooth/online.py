@@ -49,8 +49,8 @@ class ShareState:
 
     Attributes
     ----------
-    waiting : number, seconds, `Detections.row` (n,) and boxes (n, 4) of the frames whose rows are
-        still to come, the oldest first.
+    waiting : number, seconds, `Detections.row` (n,) and boxes (n, 4) of the frames with detections
+        whose rows are still to come, the oldest first.
     last : the two frames before.
     sums : (2, 4) of centres and of sizes: of products, of squares, how many, and the mean size of m
         − z.
@@ -75,11 +75,20 @@ class DetectionShare:
         return ShareState()
 
     def advance(
-        self, state: ShareState, tracks: Tracks, detections: Detections, number: int, time: float
+        self,
+        state: ShareState,
+        tracks: Tracks,
+        detections: Detections,
+        number: int,
+        time: float,
+        oldest: int,
     ) -> tuple[ShareState, Tracks]:
         """The state and the rows with the boxes that are shown."""
-        frame = (number, time, detections.row, detections.xyxy)
-        return self.shown(replace(state, waiting=(*state.waiting, frame)), tracks)
+        # Without tracks no row tells which frames are done; those that are forgotten are.
+        waiting = tuple(frame for frame in state.waiting if frame[0] >= oldest)
+        if len(detections):
+            waiting = (*waiting, (number, time, detections.row, detections.xyxy))
+        return self.shown(replace(state, waiting=waiting), tracks)
 
     def shown(self, state: ShareState, tracks: Tracks) -> tuple[ShareState, Tracks]:
         """The state after these rows, all of frames that it waits for, and the rows with the boxes
