@@ -276,6 +276,19 @@ class Scripted:
         )
 
 
+class Clock:
+    """Seconds that pass when a test says so."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def advance(self, seconds: float) -> None:
+        self.now += seconds
+
+
 def until(ready: Callable[[], object], patience: float = 600.0) -> None:
     """Wait: kernels may have to be compiled first, and others may need the machine."""
     end = time.monotonic() + patience

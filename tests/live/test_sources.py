@@ -4,20 +4,29 @@ nothing secret is said.
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
+import av
 import numpy as np
 import pytest
-from camera_server import CameraServer, HlsServer, RtspServer, until
+from camera_server import CameraServer, Clock, HlsServer, RtspServer, until
 
 from phdtrack.video import VideoWriter
 from phdtrack.video import live_sources as sources
-from phdtrack.video.live_sources import LONGEST_PAUSE, LiveFrame, LiveSource, named, shown
+from phdtrack.video.live_sources import (
+    CATCH_UP,
+    LONGEST_PAUSE,
+    LiveFrame,
+    LiveSource,
+    named,
+    shown,
+)
 
 
 @pytest.fixture
@@ -69,7 +78,7 @@ def test_times_are_arrival_times_if_no_rate_is_stated(
     (first,) = frames(source, 1)
     had = time.monotonic()
     for frame in frames(source, 15):
-        assert server.sent[frame.number - 1] <= source._start + frame.time <= time.monotonic()
+        assert server.sent[frame.number - 1] <= source.started + frame.time <= time.monotonic()
         assert frame.wall <= time.time()
     assert frame.image.shape == (120, 160, 3)
     assert frame.image.dtype == np.uint8
@@ -133,17 +142,22 @@ def test_a_stream_of_which_no_picture_comes_is_tried_again(
     source.stop()
 
 
-@pytest.mark.slow
 def test_a_stream_faster_than_the_clock_is_shown(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """All its pictures look as if they had come while the connection was made."""
-    monkeypatch.setattr(sources, "CATCH_UP", 0.2)
+    clock = Clock()
+    source = LiveSource("http://camera.example/stream", clock=clock)
+    arrived = list[int]()
 
     def packets(stream: object) -> Iterator[SimpleNamespace]:
         for k in range(100):
-            time.sleep(0.01)
-            yield SimpleNamespace(decode=lambda k=k: [SimpleNamespace(time=10.0 * k)])
+            clock.advance(0.125)
+            before = source.status().frames
+            picture = SimpleNamespace(time=10.0 * k, width=64, height=48)
+            yield SimpleNamespace(decode=lambda picture=picture: [picture])
+            arrived.extend([k] * (source.status().frames - before))
+        source.stop()
 
     stream = SimpleNamespace(thread_type="")
     container = SimpleNamespace(
@@ -155,9 +169,10 @@ def test_a_stream_faster_than_the_clock_is_shown(
         open=lambda *_, **__: nullcontext(container), InvalidDataError=ValueError
     )
     monkeypatch.setattr(sources, "needed", lambda module: opened)
-    times = [picture.time for picture, _ in LiveSource("http://camera.example/stream")._pictures(0)]
-    assert 0 < len(times) < 100
-    assert times == [10.0 * k for k in range(100 - len(times), 100)]
+    source.start()
+    until(source.stopped.is_set)
+    # Eight a second; those of the first seconds are held back.
+    assert arrived == list(range(round(8 * CATCH_UP) - 1, 100))
 
 
 def place(frame: LiveFrame) -> int:
@@ -197,7 +212,7 @@ def test_an_rtsp_camera_that_dies_freezes_and_changes_its_size(gstreamer: RtspSe
     returned = time.monotonic()
     waited(source, "live")
     (after,) = frames(source, 1)
-    assert after.time > returned - source._start > last.time
+    assert after.time > returned - source.started > last.time
     assert source.status().connects == 2
     source.stop()
 
@@ -232,8 +247,9 @@ def test_whatever_a_source_raises_it_is_tried_again(
     server: CameraServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as broken:
-        # As where a stream has no pictures.
-        broken.setattr(LiveSource, "_pictures", lambda self, generation: iter([][0]))
+        # A stream without pictures.
+        container = SimpleNamespace(streams=SimpleNamespace(video=[]))
+        broken.setattr(av, "open", lambda *_, **__: nullcontext(container))
         source = LiveSource(server.url)
         source.start()
         until(lambda: source.status().problem == "list index out of range")
@@ -245,15 +261,14 @@ def test_whatever_a_source_raises_it_is_tried_again(
 def test_it_is_tried_again_twice_a_second(server: CameraServer) -> None:
     """However long the camera is away, it is found within two seconds of its return."""
     server.kill()
-    source = LiveSource(server.url)
     pauses = list[float]()
-    wait = source._change.wait_for
 
-    def waiting(ready: Callable[[], bool], timeout: float) -> bool:
-        pauses.append(timeout)
-        return wait(ready, 0.001)
+    class Hurried(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            pauses.append(timeout or 0.0)
+            return super().wait(0.001)
 
-    source._change.wait_for = waiting
+    source = LiveSource(server.url, stopped=Hurried())
     source.start()
     until(lambda: len(pauses) > 30)
     source.stop()
@@ -275,7 +290,7 @@ def test_a_camera_that_freezes_goes_on_where_time_is(
     after = before
     while server.sent[after.number - 1] < thawed:
         (after,) = frames(source, 1)
-    assert after.time >= thawed - source._start > before.time + 1.0
+    assert after.time >= thawed - source.started > before.time + 1.0
     assert after.wall - before.wall > 0.9
     assert source.status().connects == 1
 

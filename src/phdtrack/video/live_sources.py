@@ -18,7 +18,7 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 from urllib.parse import urlsplit, urlunsplit
@@ -94,11 +94,20 @@ class LiveSource:
         in a loop.
     connect, read : time-outs in seconds: up to the first picture of a connection, and between
         pictures.
+    clock : seconds that only grow, by which pictures arrive and time-outs end.
+    stopped : set when it is stopped; pauses are waits for it.
+
+    Attributes
+    ----------
+    started : when it was started, on the clock.
     """
 
     address: str = field(repr=False)
     connect: float = 10.0
     read: float = 5.0
+    clock: Callable[[], float] = field(default=time.monotonic, repr=False)
+    stopped: threading.Event = field(default_factory=threading.Event, repr=False)
+    started: float = field(default=0.0, init=False, repr=False)
     _change: threading.Condition = field(
         default_factory=threading.Condition, init=False, repr=False
     )
@@ -111,20 +120,18 @@ class LiveSource:
     # The number of the active reading thread, and the last time at which it did not hang.
     _generation: int = field(default=0, init=False, repr=False)
     _progress: float = field(default=0.0, init=False, repr=False)
-    _stopped: bool = field(default=False, init=False, repr=False)
-    _start: float = field(default=0.0, init=False, repr=False)
     _since: float = field(default=0.0, init=False, repr=False)
 
     def start(self) -> None:
         """Start to read. Raises `InputError` if the package av is missing."""
         needed("av")
-        self._start = self._since = time.monotonic()
+        self.started = self._since = self.clock()
         self._begin()
 
     def stop(self) -> None:
         """Stop to read; a read that hangs is abandoned."""
         with self._change:
-            self._stopped = True
+            self.stopped.set()
             self._change.notify_all()
 
     def next(self, timeout: float) -> LiveFrame | None:
@@ -133,12 +140,14 @@ class LiveSource:
         """
         with self._change:
             allowed = (self.read if self._status.state == "live" else self.connect) + GRACE
-            if not self._stopped and time.monotonic() - self._progress > allowed:
+            if not self.stopped.is_set() and self.clock() - self._progress > allowed:
                 # The hanging thread is abandoned.
                 self._set("down", "no data, although the connection is open")
                 self._begin()
-            self._change.wait_for(lambda: self._newest is not None or self._stopped, timeout)
-            if self._newest is None or self._stopped:
+            self._change.wait_for(
+                lambda: self._newest is not None or self.stopped.is_set(), timeout
+            )
+            if self._newest is None or self.stopped.is_set():
                 return None
             number, at, wall, picture = self._newest
             self._newest = None
@@ -146,18 +155,16 @@ class LiveSource:
             height = self._status.height
         if not isinstance(picture, np.ndarray):
             image = bgr(picture, width, height)
-        elif picture.shape[1::-1] == (width, height):
-            image = picture
         else:
             import cv2
 
             image = np.asarray(cv2.resize(picture, (width, height)), np.uint8)
-        return LiveFrame(number, at - self._start, wall, np.ascontiguousarray(image))
+        return LiveFrame(number, at - self.started, wall, np.ascontiguousarray(image))
 
     def status(self) -> SourceStatus:
         """The present state."""
         with self._change:
-            now = time.monotonic()
+            now = self.clock()
             times = self._times
             fps = 0.0
             if len(times) > 1 and times[-1] > times[0]:
@@ -170,7 +177,7 @@ class LiveSource:
     def _begin(self) -> None:
         """Start a reading thread; earlier ones end at their next check."""
         self._generation += 1
-        self._progress = time.monotonic()
+        self._progress = self.clock()
         thread = threading.Thread(
             target=self._run,
             args=(self._generation,),
@@ -181,23 +188,23 @@ class LiveSource:
 
     def _current(self, generation: int, *, moves: bool = True) -> bool:
         """Return True if a thread is the active one; ``moves``: note that it does not hang."""
-        if self._stopped or generation != self._generation:
+        if self.stopped.is_set() or generation != self._generation:
             return False
         if moves:
-            self._progress = time.monotonic()
+            self._progress = self.clock()
         return True
 
-    def _set(self, state: State, problem: str | None = None) -> None:
+    def _set(self, state: State, problem: str = "") -> None:
         """Set the state, and the problem if there is a new one."""
         if state != self._status.state and "live" in (state, self._status.state):
             # The time without pictures includes all attempts to reconnect.
             if state == "live":
-                self._since = time.monotonic()
+                self._since = self.clock()
             else:
                 self._since = self._times[-1]
-        self._status = replace(self._status, state=state)
-        if problem is not None:
-            self._status = replace(self._status, problem=shown(problem))
+        self._status = replace(
+            self._status, state=state, problem=shown(problem) or self._status.problem
+        )
 
     def _run(self, generation: int) -> None:
         """Connect and read, again and again."""
@@ -218,7 +225,7 @@ class LiveSource:
                             self._status = replace(self._status, connects=self._status.connects + 1)
                             self._set("live")
                             self._times.clear()
-                        self._arrived(picture, at or time.monotonic())
+                        self._arrived(picture, at or self.clock())
                     pause = FIRST_PAUSE
                 problem = "the stream ended"
             except Exception as error:
@@ -230,14 +237,14 @@ class LiveSource:
                 if not self._current(generation):
                     return
                 self._set("down", problem)
-                # A random pause keeps many cameras from reconnecting at once.
-                self._change.wait_for(lambda: self._stopped, pause * random.uniform(0.7, 1.0))
+            # A random pause keeps many cameras from reconnecting at once.
+            self.stopped.wait(pause * random.uniform(0.7, 1.0))
             pause = min(2 * pause, LONGEST_PAUSE)
 
     def _arrived(self, picture: Any, at: float) -> None:
-        """Keep a picture, with its time on the monotonic clock, in place of the previous one."""
+        """Keep a picture, with its time on the clock, in place of the previous one."""
         status = self._status
-        wall = time.time() - (time.monotonic() - at)
+        wall = time.time() - (self.clock() - at)
         if isinstance(picture, np.ndarray):
             sent = (picture.shape[1], picture.shape[0])
         else:
@@ -257,7 +264,7 @@ class LiveSource:
 
     def _pictures(self, generation: int) -> Iterator[tuple[Any, float]]:
         """The pictures of one connection, (H, W, 3) arrays or PyAV's, each with its time on the
-        monotonic clock; 0 for that of its arrival.
+        clock; 0 for that of its arrival.
         """
         if self.address.isdecimal():
             yield from ((picture, 0.0) for picture in self._camera(int(self.address)))
@@ -277,14 +284,15 @@ class LiveSource:
             stream = container.streams.video[0]
             stream.thread_type = "SLICE"
             paced = not remote or "hls" in container.format.name
-            pace = _Pace(self.read)
-            backlog = _Backlog(remote and not paced and container.format.name != "mpjpeg")
-            pictured = time.monotonic()
+            pace = _Pace(self.read, self.clock, self.stopped)
+            buffered = remote and not paced and container.format.name != "mpjpeg"
+            backlog = _Backlog(self.clock, active=buffered)
+            pictured = self.clock()
             for packet in container.demux(stream):
                 with self._change:
                     # There are no pictures before the next key frame, which may take a camera half
                     # a minute.
-                    if not self._current(generation, moves=time.monotonic() < pictured + UNDECODED):
+                    if not self._current(generation, moves=self.clock() < pictured + UNDECODED):
                         return
                 for picture in self._decoded(packet):
                     if picture.time is not None and backlog.holds(picture.time):
@@ -293,7 +301,7 @@ class LiveSource:
                     if paced and picture.time is not None:
                         at = pace.wait(picture.time)
                     yield picture, at
-                    pictured = time.monotonic()
+                    pictured = self.clock()
 
     def _decoded(self, packet: Any) -> list[Any]:
         """The pictures of a packet; one that cannot be decoded is counted, and has none."""
@@ -326,9 +334,10 @@ class _Backlog:
     arrive all at once.
     """
 
-    def __init__(self, active: bool) -> None:
+    def __init__(self, clock: Callable[[], float], *, active: bool) -> None:
+        self._clock = clock
         self._active = active
-        self._deadline = time.monotonic() + CATCH_UP
+        self._deadline = clock() + CATCH_UP
         self._arrival = 0.0
         self._stamp = 0.0
 
@@ -336,7 +345,7 @@ class _Backlog:
         """Return True if the next picture, with this time stamp, belongs to the backlog."""
         if not self._active:
             return False
-        now = time.monotonic()
+        now = self._clock()
         faster = not self._arrival or now - self._arrival < (stamp - self._stamp) / 2
         self._active = now < self._deadline and faster
         self._arrival = now
@@ -347,11 +356,19 @@ class _Backlog:
 class _Pace:
     """Plays pictures at the pace of their time stamps.
 
-    ``tolerance`` : seconds by which a picture may be early or late before the pace starts anew.
+    Parameters
+    ----------
+    tolerance : seconds by which a picture may be early or late before the pace starts anew.
+    clock : seconds that only grow.
+    stopped : ends a wait.
     """
 
-    def __init__(self, tolerance: float) -> None:
+    def __init__(
+        self, tolerance: float, clock: Callable[[], float], stopped: threading.Event
+    ) -> None:
         self._tolerance = tolerance
+        self._clock = clock
+        self._stopped = stopped
         self._start = 0.0
         self._first = 0.0
         self._last = -math.inf
@@ -359,14 +376,14 @@ class _Pace:
     def wait(self, stamp: float) -> float:
         """Wait until the picture with this time stamp is due; return this time."""
         at = self._start + (stamp - self._first)
-        late = time.monotonic() - at
+        late = self._clock() - at
         if abs(late) > self._tolerance or at <= self._last:
             # The first picture; or the stamps jumped, or the stream was held up.
-            self._start = time.monotonic()
+            self._start = self._clock()
             self._first = stamp
             at = self._start
         elif late < 0:
-            time.sleep(-late)
+            self._stopped.wait(-late)
         self._last = at
         return at
 
