@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.live import delivery, outputs
+from phdtrack.live import delivery
 from phdtrack.live.delivery import Courier, Mqtt, Webhook, receivers
 from phdtrack.live.outputs import HEAD, EventLog, RowsLog, Segments, VideoLog, stamp
 from phdtrack.types import Tracks
@@ -80,8 +80,7 @@ def test_what_a_killed_run_left_is_kept_up_to_its_last_line(tmp_path: Path) -> N
     part = tmp_path / "2026-11-24T05.csv.part"
     with part.open("a") as file:
         file.write("2026-11-24T05:59:59.000Z,2,1,0,0.1")
-    assert log._file is not None
-    log._file.close()
+    log.close()
     again = RowsLog(tmp_path)
     assert names(tmp_path) == ["2026-11-24T05.csv"]
     assert len((tmp_path / "2026-11-24T05.csv").read_text().splitlines()) == 3
@@ -295,7 +294,7 @@ class Client:
 
     on_publish: Any = None
 
-    def __init__(self, *_: object) -> None:
+    def __init__(self) -> None:
         self.sent = list[tuple[str, str]]()
         self.confirms = True
 
@@ -313,26 +312,32 @@ class Client:
 def test_an_unconfirmed_event_is_published_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    made = SimpleNamespace(Client=Client, CallbackAPIVersion=SimpleNamespace(VERSION2=2))
-    monkeypatch.setattr(delivery, "needed", lambda module: made)
     monkeypatch.setattr(delivery, "TIMEOUT", 0.01)
-    mqtt = Mqtt("mqtt://broker.example/site")
-    mqtt._client.confirms = False
+    client = Client()
+    mqtt = Mqtt("mqtt://broker.example/site", lambda: client)
+    client.confirms = False
     for _ in range(3):
         with pytest.raises(OSError, match="the broker did not confirm"):
             mqtt("a", '{"kind": "appear"}')
-    mqtt._client.on_publish(mqtt._client, None, 1, 0, None)
+    client.on_publish(client, None, 1, 0, None)
     mqtt("a", '{"kind": "appear"}')
-    mqtt._client.confirms = True
+    client.confirms = True
     mqtt("b", '{"kind": "leave"}')
-    assert mqtt._client.sent == [
+    assert client.sent == [
         ("site/appear", '{"kind": "appear"}'),
         ("site/leave", '{"kind": "leave"}'),
     ]
     with pytest.raises(InputError, match="a topic without the wildcards"):
-        Mqtt("mqtt://broker.example/site/+")
+        Mqtt("mqtt://broker.example/site/+", Client)
 
 
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A courier tries again soon."""
+    monkeypatch.setattr(delivery, "FIRST_PAUSE", 0.01)
+
+
+@pytest.mark.usefixtures("quick")
 def test_an_event_is_sent_once_if_that_cannot_be_recorded(tmp_path: Path) -> None:
     log = EventLog(tmp_path)
     taken = list[str]()
@@ -395,6 +400,7 @@ def until(ready: object, patience: float = 600.0) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.usefixtures("quick")
 def test_webhook_events_keep_their_order_after_failures(
     tmp_path: Path, receiver: ThreadingHTTPServer
 ) -> None:
@@ -416,21 +422,26 @@ def test_webhook_events_keep_their_order_after_failures(
     log.close()
 
 
+@pytest.mark.usefixtures("quick")
 def test_whatever_a_receiver_raises_is_said_and_tried_again(tmp_path: Path) -> None:
     log = EventLog(tmp_path)
     taken = list[str]()
+    problems = list[str]()
 
     def send(name: str, event: str) -> None:
         taken.append(name)
+        problems.append(courier.problem)
         if len(taken) == 1:
             raise ValueError("topics have no wildcards")
 
     courier = Courier(log, send, "mqtt")
     log.write([event(1)])
     courier.wake()
-    until(lambda: courier.problem == "topics have no wildcards")
     until(lambda: len(taken) == 2)
     courier.stop()
+    assert taken == ["gate-1-0", "gate-1-0"]
+    assert problems == ["", "topics have no wildcards"]
+    assert courier.problem == ""
     log.close()
 
 
@@ -565,13 +576,10 @@ def test_files_of_rows_that_somebody_has_changed_are_passed_over(tmp_path: Path)
     assert (tmp_path / "2026-11-24T07.parquet").exists()
 
 
-def test_a_receiver_that_cannot_be_written_down_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    log = EventLog(tmp_path)
+def test_a_receiver_that_cannot_be_written_down_is_said(tmp_path: Path) -> None:
+    log = EventLog(tmp_path, patience=0.001)
     other = sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
-    monkeypatch.setattr(outputs, "_PATIENT", "PRAGMA busy_timeout=1")
     with pytest.raises(
         InputError, match=r"events.sqlite: cannot be written into \(database is locked\)"
     ):

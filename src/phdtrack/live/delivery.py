@@ -142,11 +142,9 @@ def _public(text: str) -> bool:
     """True if an address is on the internet; IPv6 forms of IPv4 addresses count as IPv4."""
     address = ipaddress.ip_address(text)
     if isinstance(address, ipaddress.IPv6Address):
+        inner = address.ipv4_mapped or address.sixtofour
         if address in _NAT64:
             inner = ipaddress.IPv4Address(int(address) & 0xFFFFFFFF)
-        else:
-            inner = None
-        inner = inner or address.ipv4_mapped or address.sixtofour
         if inner is None and address not in _UNICAST:
             return False
         address = inner or address
@@ -165,16 +163,27 @@ def _parts(url: str, where: str) -> SplitResult:
     )
 
 
+def paho_client() -> Any:
+    """A client of paho-mqtt. Raises `InputError` if that is missing."""
+    version = needed("paho.mqtt.enums").CallbackAPIVersion.VERSION2
+    return needed("paho.mqtt.client").Client(version)
+
+
 class Mqtt:
     """Publishes each event to ``topic``/kind of a broker
     (``mqtt://[user:password@]host[:port]/topic``), at least once.
 
-    Raises `InputError` if the address is invalid, or paho-mqtt is missing.
+    Parameters
+    ----------
+    url : the address.
+    make_client : makes a client with the methods of paho-mqtt's.
+
+    Raises
+    ------
+    InputError : the address is invalid, or paho-mqtt is missing.
     """
 
-    def __init__(self, url: str) -> None:
-        client = needed("paho.mqtt.client")
-        enums = needed("paho.mqtt.enums")
+    def __init__(self, url: str, make_client: Callable[[], Any] = paho_client) -> None:
         parts = _parts(url, "--mqtt")
         if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
             raise InputError(
@@ -190,7 +199,7 @@ class Mqtt:
         self._news = threading.Condition()
         self._host = parts.hostname
         self._port = parts.port or (8883 if parts.scheme == "mqtts" else 1883)
-        self._client: Any = client.Client(enums.CallbackAPIVersion.VERSION2)
+        self._client = make_client()
         self._client.on_publish = self._confirm
         if parts.username:
             self._client.username_pw_set(unquote(parts.username), unquote(parts.password or ""))

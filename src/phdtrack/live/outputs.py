@@ -30,9 +30,7 @@ from phdtrack.types import Image, Tracks
 from phdtrack.video import VideoWriter
 
 _LINES = "events.jsonl"
-# Milliseconds to wait for another process that writes into the table: at the start, and while a
-# camera waits.
-_PATIENT = "PRAGMA busy_timeout=5000"
+# Milliseconds to wait for another process that writes into the table, while a camera waits.
 _IMPATIENT = "PRAGMA busy_timeout=200"
 _TABLES = (
     "PRAGMA journal_mode=WAL",
@@ -207,6 +205,14 @@ class RowsLog:
                 return int(_last_line(file).split(",")[1])
         return 0
 
+    def close(self) -> None:
+        """Close the open file and leave it incomplete, as a killed run does; another `RowsLog`
+        completes it.
+        """
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
     def finish(self) -> None:
         """Complete the open file, as Parquet if that was asked for. Raises `InputError` without
         pyarrow.
@@ -215,8 +221,7 @@ class RowsLog:
             return
         self._file.flush()
         os.fsync(self._file.fileno())
-        self._file.close()
-        self._file = None
+        self.close()
         done = self._segments.finish()
         if done is not None and self._parquet:
             csv, parquet = (needed(f"pyarrow.{name}") for name in ("csv", "parquet"))
@@ -282,12 +287,14 @@ class EventLog:
     file of lines is a receiver like others; it may lag behind, ``problem`` gives the reason, and it
     may be moved away.
 
-    Raises `InputError` if the files cannot be written.
+    At the start, and for a new receiver, it waits ``patience`` seconds for another process that
+    writes into the table. Raises `InputError` if the files cannot be written.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, patience: float = 5.0) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / _LINES
+        self._patient = f"PRAGMA busy_timeout={round(1000 * patience)}"
         self._lock = threading.Lock()
         self._closed = False
         self.problem = ""
@@ -295,7 +302,7 @@ class EventLog:
             self._base = sqlite3.connect(
                 folder / "events.sqlite", check_same_thread=False, isolation_level=None
             )
-            for statement in (_PATIENT, *_TABLES):
+            for statement in (self._patient, *_TABLES):
                 self._base.execute(statement)
             self._find_last_line()
             self._base.execute(_IMPATIENT)
@@ -363,7 +370,7 @@ class EventLog:
         """
         try:
             with self._lock:
-                self._base.execute(_PATIENT)
+                self._base.execute(self._patient)
                 self._base.execute(
                     f"INSERT OR IGNORE INTO receivers (name, has) VALUES (?, {_NEXT} - 1)",
                     (receiver,),
