@@ -23,7 +23,7 @@ import numpy as np
 
 from phdtrack import Tracker
 from phdtrack.errors import InputError
-from phdtrack.live.checkpoint import NAME, SavedCamera, key_of, load, save
+from phdtrack.live.checkpoint import NAME, Checkpoints, SavedCamera, key_of, load
 from phdtrack.live.events import WatchState
 from phdtrack.state import FORMAT
 from phdtrack.types import Detections
@@ -132,7 +132,7 @@ def live_checkpoints(folder: Path, inputs: int, rng: random.Random) -> Counter[s
     maps = np.zeros((4, 6))
     camera = SavedCamera(9, 0.3, 1.8e9, (), WatchState(), (), maps, maps, 0.3, np.zeros((0, 4)))
     key = key_of({"filter.kind": "pmb"}, *SIZE)
-    save(folder, key, tracker_of("pmb", FRAMES).snapshot(), camera, 4, ended=False)
+    Checkpoints(folder).write(key, tracker_of("pmb", FRAMES).snapshot(), camera, 4)
     file = folder / NAME
     content = file.read_bytes()
     found = Counter[str]()

@@ -188,7 +188,7 @@ def track(hours: float, per_hour: int, folder: Path) -> list[Hour]:
     return watching.hours
 
 
-class _Replayed:
+class Replayed:
     """A source that gives a frame when the previous one is done, with times of 25 a second."""
 
     def __init__(self, last: int, through: Callable[[int], None]) -> None:
@@ -247,7 +247,7 @@ def live(hours: float, per_hour: int, folder: Path) -> list[Hour]:
         )
 
     watching = Watching(0, per_hour)
-    source = _Replayed(round(hours * per_hour), watching.frame)
+    source = Replayed(round(hours * per_hour), watching.frame)
     settings = CameraSettings(folder / "camera", watch=Watch((middle, corner)), quota=50_000_000)
     camera = Camera("soak", source, make, settings)  # type: ignore[arg-type]
     camera.start()

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.soak import HEIGHT, WIDTH, _Replayed, boxes
+from experiments.soak import HEIGHT, WIDTH, Replayed, boxes
 from phdtrack.config import build_classes, load
 from phdtrack.live.engine import Camera, CameraParts, CameraSettings
 from phdtrack.report import About
@@ -108,7 +108,7 @@ def watched(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
         return CameraParts(given, build_classes(load(None, ["associate.history=10"]), info), info)
 
     camera = Camera(
-        "soak", _Replayed(ENDED, through), make, CameraSettings(folder / "camera", video=0.0)
+        "soak", Replayed(ENDED, through), make, CameraSettings(folder / "camera", video=0.0)
     )  # type: ignore[arg-type]
     camera.start()
     assert done.wait(300.0)
@@ -126,7 +126,7 @@ def test_memory_of_a_frame_is_given_back(
 ):
     # What is kept of some thousand frames at most is full sooner.
     monkeypatch.setattr("phdtrack.run.video.SAMPLE", 100)
-    for name in ("_LATENCIES", "_EVENTS"):
+    for name in ("MAX_LATENCIES", "MAX_RECENT"):
         monkeypatch.setattr(f"phdtrack.live.engine.{name}", 20)
     traced = Traced()
     part(tmp_path, Given(), traced.frame)

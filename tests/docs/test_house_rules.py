@@ -270,20 +270,9 @@ def private_uses(path: Path, names: set[str]) -> Iterator[str]:
         yield from (f"{short(path)}:{node.lineno} {name}" for name in used)
 
 
-# Tests that still reach for private names; the list may only become shorter.
-PRIVATE_NAMES_LEFT = {
-    "test_checkpoint.py",
-    "test_live_command.py",
-    "test_outputs.py",
-    "test_soak.py",
-    "test_sources.py",
-}
-
-
 def test_tests_use_public_names_only() -> None:
     names = private_names(MODULES)
-    left = {*PRIVATE_NAMES_LEFT, Path(__file__).name}
-    others = [path for path in TESTS if path.name not in left]
+    others = [path for path in TESTS if path != Path(__file__)]
     check("private names", [use for path in others for use in private_uses(path, names)])
 
 

@@ -7,17 +7,17 @@ from __future__ import annotations
 import csv
 import json
 import sqlite3
-import time
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from camera_server import Clock
 
 from phdtrack.config import build_classes, load
-from phdtrack.live import engine
-from phdtrack.live.checkpoint import LOST, NAME
+from phdtrack.live.checkpoint import LOST, NAME, Checkpoints
 from phdtrack.live.engine import Camera, CameraParts, CameraSettings
 from phdtrack.live.events import Watch
 from phdtrack.live.zones import Place
@@ -28,7 +28,14 @@ DOOR = Place("door", ((80.0, 119.0), (80.0, 0.0)), closed=False)
 START = 1_790_000_000.0
 
 
-def run(folder: Path, *, sets: tuple[str, ...] = (), delay: int = 0, every: float = 1e9) -> Camera:
+def run(
+    folder: Path,
+    *,
+    sets: tuple[str, ...] = (),
+    delay: int = 0,
+    every: float = 1e9,
+    clock: Clock | None = None,
+) -> Camera:
     """A camera whose detector finds what the pictures say, and whose source is this test."""
 
     def make(info: SequenceInfo) -> CameraParts:
@@ -44,7 +51,7 @@ def run(folder: Path, *, sets: tuple[str, ...] = (), delay: int = 0, every: floa
         status=lambda: SourceStatus(frames=100, fps=10.0), stop=lambda: None
     )
     settings = CameraSettings(folder, watch=Watch((DOOR,)), video=0, checkpoint=every)
-    return Camera("gate", source, make, settings)
+    return Camera("gate", source, make, settings, clock=clock or Clock())
 
 
 def show(one: Camera, lefts: list[int], wall: float, first: int = 0) -> None:
@@ -53,7 +60,7 @@ def show(one: Camera, lefts: list[int], wall: float, first: int = 0) -> None:
     """
     for k, left in enumerate(lefts, start=first):
         image = np.full((120, 160, 3), left, np.uint8)
-        one._take(LiveFrame(k + 1, k / 10, wall + k / 10, image))
+        one.process(LiveFrame(k + 1, k / 10, wall + k / 10, image))
 
 
 def stopped(folder: Path, steps: int, wall: float) -> Camera:
@@ -66,13 +73,11 @@ def stopped(folder: Path, steps: int, wall: float) -> Camera:
 
 def crashed(one: Camera, *, saved: bool = True) -> None:
     """A process that was killed, after a checkpoint where that is to be saved now."""
-    if one._saving.ident is not None:
-        one._saving.join()
+    one.checkpoints.wait()
     if saved:
-        one._saver(ended=False)()
+        one.save()
     one.log.close()
-    if one._rows._file is not None:
-        one._rows._file.close()
+    one.rows.close()
 
 
 def events(folder: Path) -> list[dict[str, Any]]:
@@ -102,12 +107,11 @@ def test_tracks_and_counts_continue_after_a_kill(tmp_path: Path, delay: int) -> 
     # Half a second was lost: five steps.
     show(second, [95 + 3 * k for k in range(12)], START + 2.4)
     assert second.problems == []
-    assert second._tracker is not None
-    assert second._tracker.state.time == pytest.approx(1.9 + 0.5 + 1.1)
+    assert second.running is not None
+    assert second.running.tracker.state.time == pytest.approx(1.9 + 0.5 + 1.1)
     assert [event["kind"] for event in events(tmp_path)] == ["appear", "cross"]
     assert second.watched[1].counts[0].entered + second.watched[1].counts[0].left == 1
-    assert second.maps is not None
-    assert second.maps.people.sum() > 20
+    assert second.running.maps.people.sum() > 20
     # 20 frames before and 12 after; somebody is confirmed in nearly all of them.
     assert sum(minute.frames for minute in second.minutes) == 32 - delay
     assert sum(minute.mean * minute.frames for minute in second.minutes) == pytest.approx(
@@ -134,8 +138,7 @@ def test_events_after_the_checkpoint_are_reported_once(
     and starts at once, or in another hour, in whose file the rows are then."""
     first = run(tmp_path, delay=delay)
     show(first, [20 + 3 * k for k in range(15)], START)
-    first._saving.join()
-    first._saver(ended=False)()
+    first.save()
     show(first, [65 + 3 * k for k in range(15)], START, 15)
     show(first, [0] * 50 + [20 + 2 * k for k in range(15)], START, 30)
     crashed(first, saved=False)
@@ -166,7 +169,7 @@ def test_a_kill_soon_after_an_end_in_order_repeats_nothing(
     stopped(tmp_path, 10, START)
     second = run(tmp_path)
     with monkeypatch.context() as never:
-        never.setattr(engine, "save", lambda *given, **more: None)
+        never.setattr(Checkpoints, "write", lambda *given, **more: None)
         show(second, [20 + 3 * k for k in range(25)], START + 100)
         crashed(second, saved=False)
     third = run(tmp_path)
@@ -181,13 +184,17 @@ def test_a_kill_soon_after_an_end_in_order_repeats_nothing(
 
 @pytest.mark.parametrize("end", ["killed", "stopped"])
 def test_a_restart_does_not_count_unwritten_events(tmp_path: Path, end: str) -> None:
-    one = run(tmp_path)
+    clock = Clock()
+    one = run(tmp_path, every=0.5, clock=clock)
     show(one, [20 + 3 * k for k in range(10)], START)
-    one._saving.join()
+    one.checkpoints.wait()
     other = sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
-    one._due = 0.0
-    show(one, [50 + 3 * k for k in range(10)], START, 10)
+    for k in range(10):
+        # A checkpoint is due with each picture.
+        clock.advance(0.5)
+        show(one, [50 + 3 * k], START, 10 + k)
+        one.checkpoints.wait()
     assert "events are still to be written" in one.problems[0]
     assert not one.stop(10.0) if end == "stopped" else crashed(one, saved=False) is None
     other.close()
@@ -199,14 +206,15 @@ def test_a_restart_does_not_count_unwritten_events(tmp_path: Path, end: str) -> 
 
 
 def test_lagging_event_lines_are_written_without_a_new_event(tmp_path: Path) -> None:
-    one = run(tmp_path)
+    clock = Clock()
+    one = run(tmp_path, clock=clock)
     lines = tmp_path / "events.jsonl"
     lines.mkdir()
     show(one, [20 + 3 * k for k in range(25)], START)
     (said,) = one.problems
     assert "events.jsonl is still to be brought up to date" in said
     lines.rmdir()
-    one._patient = 0.0
+    clock.advance(1.0)
     show(one, [95], START, 25)
     assert one.problems == []
     assert [event["kind"] for event in events(tmp_path)] == ["appear", "cross"]
@@ -251,10 +259,10 @@ def test_after_an_unusable_checkpoint_identities_are_new(
     first = run(tmp_path)
     show(first, [20 + 3 * k for k in range(10)], START)
     if what == "state":
-        assert first._tracker is not None
-        saved = first._tracker.state_dict()
+        assert first.running is not None
+        saved = first.running.tracker.state_dict()
         saved["state"] = saved["state"][:-1]
-        first._tracker.snapshot = lambda: lambda: saved  # type: ignore[method-assign]
+        first.running.tracker.snapshot = lambda: lambda: saved  # type: ignore[method-assign]
     crashed(first)
     file = tmp_path / NAME
     if what == "damaged":
@@ -282,15 +290,19 @@ def test_without_the_option_there_is_none(tmp_path: Path) -> None:
 
 
 def test_it_is_written_beside_the_loop_when_it_is_due(tmp_path: Path) -> None:
-    one = run(tmp_path)
+    clock = Clock()
+    one = run(tmp_path, every=10.0, clock=clock)
     show(one, [20, 23], START)
     # The first one at once: who is killed before it has nothing to go on with.
-    one._saving.join()
-    first = (tmp_path / NAME).read_bytes()
-    assert one._due > time.monotonic()
-    one._due = 0.0
-    one._take(LiveFrame(3, 0.2, START + 0.2, np.full((120, 160, 3), 26, np.uint8)))
-    one._saving.join()
-    assert (tmp_path / NAME).read_bytes() != first
-    assert one._due > 0
+    one.checkpoints.wait()
+    written = [(tmp_path / NAME).read_bytes()]
+    for seconds in (9.9, 0.1, 9.9, 0.1):
+        clock.advance(seconds)
+        assert one.checkpoints.due == (seconds == 0.1)
+        show(one, [26], START, 1 + len(written))
+        one.checkpoints.wait()
+        assert not one.checkpoints.due
+        written.append((tmp_path / NAME).read_bytes())
+    changed = [before != after for before, after in pairwise(written)]
+    assert changed == [False, True, False, True]
     assert one.stop(10.0)

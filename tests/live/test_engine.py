@@ -127,9 +127,10 @@ def test_who_walks_to_and_fro_is_counted_and_kept(tmp_path: Path) -> None:
     assert one.minutes[-1].most == 1
     median, most = one.latency()
     assert begun - (WALL + 200 / source.rate) <= median <= most <= time.time() - WALL
-    assert one.maps is not None
-    row = int((50 + SIDE) / one.maps.cell)
-    assert one.maps.people[row - 1 : row + 2].sum() > 0.95 * one.maps.people.sum() > 10
+    assert one.running is not None
+    maps = one.running.maps
+    row = int((50 + SIDE) / maps.cell)
+    assert maps.people[row - 1 : row + 2].sum() > 0.95 * maps.people.sum() > 10
 
 
 def test_a_restart_gives_events_names_of_their_own(tmp_path: Path) -> None:

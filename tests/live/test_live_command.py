@@ -23,10 +23,10 @@ from camera_server import CameraServer, until, walker
 from typer.testing import CliRunner
 
 from phdtrack.cli.app import application
-from phdtrack.cli.live import LiveOptions, _settings, named_sources
+from phdtrack.cli.live import LiveOptions, camera_settings, named_sources
 from phdtrack.cli.options import size
 from phdtrack.cli.output import Output
-from phdtrack.live.engine import CameraSettings
+from phdtrack.live.engine import Camera, CameraSettings
 from phdtrack.live.events import Watch
 from phdtrack.run.requests import TrackingRequest
 from phdtrack.types import SequenceInfo
@@ -191,16 +191,20 @@ def test_nobody_else_writes_into_its_folder(
     )
     said = list[str]()
 
-    def attend(*_: object) -> None:
+    start = Camera.start
+
+    def started(*given: object) -> None:
+        start(*given)  # type: ignore[arg-type]
         said.append(
             subprocess.run(
                 [sys.executable, "-c", code, tmp_path], capture_output=True, text=True
             ).stderr
         )
 
-    monkeypatch.setattr("phdtrack.cli.live._attend", attend)
+    monkeypatch.setattr(Camera, "start", started)
     address = f"gate=http://127.0.0.1:{free_port()}/x"
-    assert invoked(address, "--out", str(tmp_path), "--no-page")[0] == 0
+    words = ["--out", str(tmp_path), "--no-page", "--duration", "0.01"]
+    assert invoked(address, *words)[0] == 0
     assert "another run is writing into this directory" in said[0]
 
 
@@ -229,7 +233,7 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
         dwell=7.0,
         leave_after=2.0,
     )
-    found = {name: _settings(name, write, None, tmp_path) for name in ("a", "b")}
+    found = {name: camera_settings(name, write, None, tmp_path) for name in ("a", "b")}
     usual = CameraSettings(
         tmp_path / "b",
         Path("all.toml"),
@@ -244,7 +248,8 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
         "a": replace(usual, folder=tmp_path / "a", places=Path("mine.toml")),
         "b": usual,
     }
-    assert _settings("c", LiveOptions(), None, tmp_path).places == tmp_path / "c" / "places.toml"
+    alone = camera_settings("c", LiveOptions(), None, tmp_path)
+    assert alone.places == tmp_path / "c" / "places.toml"
 
 
 @pytest.mark.parametrize(

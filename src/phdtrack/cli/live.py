@@ -128,7 +128,7 @@ def live(
             name,
             LiveSource(address),
             make,
-            _settings(name, write, options.config, out, known),
+            camera_settings(name, write, options.config, out, known),
             told,
         )
         for name, address in addresses.items()
@@ -179,7 +179,7 @@ def named_sources(words: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def _settings(
+def camera_settings(
     name: str, write: LiveOptions, config: Path | None, out: Path, names: Names = None
 ) -> CameraSettings:
     """The settings of the camera of this name."""

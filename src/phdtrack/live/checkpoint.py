@@ -11,6 +11,9 @@ clock, and its frame numbers after the last one.
 from __future__ import annotations
 
 import json
+import math
+import threading
+import time
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -98,42 +101,6 @@ def key_of(fixed: Mapping[str, object], width: int, height: int) -> str:
     return json.dumps(json_value(document), sort_keys=True)
 
 
-def save(
-    folder: Path,
-    key: str,
-    tracker: Callable[[], dict[str, Any]],
-    camera: SavedCamera,
-    highest: int,
-    *,
-    ended: bool,
-) -> None:
-    """Write the checkpoint, whole or not at all.
-
-    Parameters
-    ----------
-    folder : of the camera.
-    key : from `key_of`.
-    tracker : returns its state, from `Tracker.snapshot`.
-    camera : everything else.
-    highest : the highest identity that was given.
-    ended : this run gives no further identity.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
-    value = {
-        "key": key,
-        "highest": highest + (0 if ended else LOST),
-        "ended": ended,
-        "tracker": tracker(),
-        "camera": camera,
-    }
-    content = zlib.compress(to_bytes(value), 1)
-    with whole(folder / NAME) as part:
-        part.write_bytes(content)
-
-
 def load(folder: Path, key: str) -> tuple[int, bool, Any, SavedCamera | InputError] | None:
     """The highest identity that may have been given, whether the run had ended, the tracker's
     state, and everything else; None if there is no checkpoint.
@@ -164,3 +131,81 @@ def load(folder: Path, key: str) -> tuple[int, bool, Any, SavedCamera | InputErr
         return value["highest"], True, None, problem
     camera: SavedCamera = unpack(value["camera"], SavedCamera, where=str(path))
     return value["highest"], value["ended"], value["tracker"], camera
+
+
+class Checkpoints:
+    """The checkpoints of a camera at work; ``problem`` says why the last one could not be written.
+
+    Parameters
+    ----------
+    folder : of the camera.
+    every : seconds between two; 0 for none.
+    clock : seconds that only grow.
+    """
+
+    def __init__(
+        self, folder: Path, every: float = EVERY, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._folder = folder
+        self._every = every
+        self._clock = clock
+        self._next = -math.inf
+        self._writing = threading.Thread()
+        self.problem = ""
+
+    @property
+    def due(self) -> bool:
+        """True if one is to be written now."""
+        passed = self._every > 0 and self._clock() >= self._next
+        return passed and not self._writing.is_alive()
+
+    def postpone(self) -> None:
+        """Put the next one off by the usual time."""
+        self._next = self._clock() + self._every
+
+    def write_beside(self, *state: Any) -> None:
+        """`write` it in a thread of its own; the next one is postponed."""
+        self.postpone()
+        self._writing = threading.Thread(
+            target=self.write, args=state, name=f"checkpoint {self._folder}", daemon=True
+        )
+        self._writing.start()
+
+    def write(
+        self,
+        key: str,
+        tracker: Callable[[], dict[str, Any]],
+        camera: SavedCamera,
+        highest: int,
+        *,
+        ended: bool = False,
+    ) -> None:
+        """Write one now, whole or not at all; `problem` says why if that fails.
+
+        Parameters
+        ----------
+        key : from `key_of`.
+        tracker : returns its state, from `Tracker.snapshot`.
+        camera : everything else.
+        highest : the highest identity that was given.
+        ended : this run gives no further identity.
+        """
+        try:
+            value = {
+                "key": key,
+                "highest": highest + (0 if ended else LOST),
+                "ended": ended,
+                "tracker": tracker(),
+                "camera": camera,
+            }
+            content = zlib.compress(to_bytes(value), 1)
+            with whole(self._folder / NAME) as part:
+                part.write_bytes(content)
+            self.problem = ""
+        except Exception as error:
+            self.problem = f"there is no newer checkpoint: {error}"
+
+    def wait(self) -> None:
+        """Wait for the one that is being written."""
+        if self._writing.ident is not None:
+            self._writing.join()

@@ -211,10 +211,7 @@ def drawn(image: Image, places: Sequence[Place], events: Sequence[Event]) -> Ima
     out = np.asarray(cv2.addWeighted(sheet, 0.25, image, 0.75, 0), np.uint8)
     counts = Counter((event.place, event.direction or event.kind) for event in events)
     for place, points in zip(places, corners, strict=True):
-        if place.closed:
-            colour = _ZONE_COLOUR
-        else:
-            colour = _LINE_COLOUR
+        colour = _ZONE_COLOUR if place.closed else _LINE_COLOUR
         for width, paint in ((wide + 2, _DARK), (wide, colour)):
             cv2.polylines(out, [points], place.closed, paint, width, cv2.LINE_AA)
             if not place.closed:

@@ -19,7 +19,15 @@ from phdtrack.detect.base import Detector
 from phdtrack.detect.convert import LeftOut
 from phdtrack.errors import InputError, shown
 from phdtrack.groups.group_stages import GroupStages, OnlineGroups
-from phdtrack.live.checkpoint import LOST, HeldFrame, SavedCamera, SavedWatch, key_of, load, save
+from phdtrack.live.checkpoint import (
+    LOST,
+    Checkpoints,
+    HeldFrame,
+    SavedCamera,
+    SavedWatch,
+    key_of,
+    load,
+)
 from phdtrack.live.delivery import Courier
 from phdtrack.live.events import Event, Maps, Minute, Watch, WatchState
 from phdtrack.live.outputs import EventLog, RowsLog, VideoLog, stamp
@@ -47,8 +55,8 @@ from phdtrack.video.live_sources import LiveFrame, LiveSource
 # so many seconds.
 MINUTES = 24 * 60
 # Latencies of which the percentiles are; events to show, and to write again after a full disk.
-_LATENCIES = 2048
-_EVENTS = 200
+MAX_LATENCIES = 2048
+MAX_RECENT = 200
 _UNWRITTEN = 1000
 # Pictures, or seconds, from which the rate of a source is taken; seconds for which a page that
 # asked is drawn for.
@@ -114,6 +122,24 @@ class CameraSettings:
     checkpoint: float = 0.0
 
 
+class Running(NamedTuple):
+    """The parts of a camera once the size of its pictures is known.
+
+    Attributes
+    ----------
+    parts, tracker : the parts, and the tracker made of them.
+    groups : finds groups; None if people are not tracked on the ground.
+    annotate : draws on pictures.
+    maps : of people and of false alarms.
+    """
+
+    parts: CameraParts
+    tracker: Tracker
+    groups: OnlineGroups | None
+    annotate: Annotator
+    maps: Maps
+
+
 class _HeldFrame(NamedTuple):
     """A frame whose rows are not final yet."""
 
@@ -122,20 +148,10 @@ class _HeldFrame(NamedTuple):
     mixture: GaussianMixture | None
 
 
-def _video_log(settings: CameraSettings) -> VideoLog | None:
-    """The annotated videos of a camera; None without."""
-    if not settings.video:
-        return None
-    return VideoLog(settings.folder / "video", settings.video, settings.quota)
-
-
 class _WatchedFile:
-    """A file that is read again when it has changed.
+    """A file that is read again when it has changed; ``use`` is called with its path."""
 
-    ``use`` is called with its path, and whether it is the first time.
-    """
-
-    def __init__(self, path: Path | None, use: Callable[[Path, bool], None]) -> None:
+    def __init__(self, path: Path | None, use: Callable[[Path], None]) -> None:
         self._path = path
         self._use = use
         # Time and size of the file when it was read, and of a change and since when it is there.
@@ -156,11 +172,10 @@ class _WatchedFile:
         if state != self._change:
             self._change = state
             self._since = now
-        first = self._read is None
-        if not first and now < self._since + _SETTLED:
+        if self._read is not None and now < self._since + _SETTLED:
             return False
         self._read = state
-        self._use(self._path, first)
+        self._use(self._path)
         return True
 
 
@@ -176,6 +191,7 @@ class Camera:
     settings : what is watched and written.
     send : called with each new event, in the camera's thread.
     observers : take in every frame behind the tracker, in the camera's thread.
+    clock : seconds that only grow.
     """
 
     def __init__(
@@ -186,6 +202,7 @@ class Camera:
         settings: CameraSettings,
         send: Callable[[dict[str, object]], None] = lambda event: None,
         observers: Sequence[FrameObserver] = (),
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name = name
         self.source = source
@@ -193,12 +210,15 @@ class Camera:
         self._make = make
         self._send = send
         self._observers = observers
-        self._parts: CameraParts | None = None
-        self._tracker: Tracker | None = None
-        self._groups: OnlineGroups | None = None
+        self._clock = clock
+        self.running: Running | None = None
+        """What it works with; None before the first picture."""
+        self.checkpoints = Checkpoints(settings.folder, settings.checkpoint, clock)
         self.log = EventLog(settings.folder)
-        self._rows = RowsLog(settings.folder / "tracks", settings.quota, parquet=settings.parquet)
-        self._video = _video_log(settings)
+        self.rows = RowsLog(settings.folder / "tracks", settings.quota, parquet=settings.parquet)
+        self._video: VideoLog | None = None
+        if settings.video:
+            self._video = VideoLog(settings.folder / "video", settings.video, settings.quota)
         self.watched: tuple[Watch, WatchState] = (settings.watch, settings.watch.start())
         """The settings of what is watched, and its state: who is there, and the counts."""
         # What went wrong, by what it concerns.
@@ -214,22 +234,18 @@ class Camera:
         self._open = True
         self._held = deque[_HeldFrame]()
         self._unwritten = deque[dict[str, object]](maxlen=_UNWRITTEN)
-        self._latency = deque[float](maxlen=_LATENCIES)
+        self._latency = deque[float](maxlen=MAX_LATENCIES)
         self._begun = 0.0
-        # Time of the next checkpoint, and the thread that writes the last one; differences of the
-        # source's numbers and times and those of tracks, which go on after a restart; number, time
-        # and time of day of the last frame; the last one with rows.
-        self._due = 0.0
-        self._saving = threading.Thread()
+        # Differences of the source's numbers and times and those of tracks, which go on after a
+        # restart; number, time and time of day of the last frame; the last one with rows.
         self._ahead = (0, 0.0)
         self._last = (0, 0.0, 0.0)
         self._finished = 0
         self.minutes = deque[Minute](maxlen=MINUTES)
-        self.recent = deque[dict[str, object]](maxlen=_EVENTS)
+        self.recent = deque[dict[str, object]](maxlen=MAX_RECENT)
         self.counted = Counter[str]()
         self.frames = 0
         self.tracks = 0
-        self.maps: Maps | None = None
         self._fresh = threading.Condition()
         self._asked = -np.inf
         self._drawn: tuple[int, Image | None] = (0, None)
@@ -255,17 +271,17 @@ class Camera:
         seconds is left behind.
         """
         self.ask_to_stop()
-        end = time.monotonic() + patience
+        end = self._clock() + patience
         if self._thread.ident is not None:
             self._thread.join(patience)
         for courier in self._couriers:
-            courier.stop(max(0.0, min(0.2, end - time.monotonic())))
+            courier.stop(max(0.0, min(0.2, end - self._clock())))
         if not self._files.acquire(timeout=0.2):
             return False
         with self._fresh:
             self._fresh.notify_all()
         try:
-            steps = [self._flush, lambda: self._tell((), last=True), self._rows.finish]
+            steps = [self._flush, lambda: self._tell((), last=True), self.rows.finish]
             steps += [] if self._video is None else [self._video.finish]
             done = [self._tried(step) for step in (*steps, self.log.close, self._save_end)]
             return all(done) and not self._unwritten
@@ -284,19 +300,17 @@ class Camera:
 
     def _flush(self) -> None:
         """Write the rows of the frames that are held."""
-        if self._open and self._tracker is not None and not self._thread.is_alive():
-            rows = self._tracker.flush()
+        if self._open and self.running is not None and not self.alive:
+            rows = self.running.tracker.flush()
             while self._held:
                 held = self._held.popleft()
-                self._finish(held, rows.select(rows.frame == held.frame.number))
+                self._finish(self.running, held, rows.select(rows.frame == held.frame.number))
 
     def _save_end(self) -> None:
         """Save the last checkpoint."""
-        whole = self._open and not self._thread.is_alive() and not self._unwritten
+        whole = self._open and not self.alive and not self._unwritten
         if self.settings.checkpoint and self._last[0] and whole:
-            if self._saving.ident is not None:
-                self._saving.join()
-            self._saver(ended=True)()
+            self.save(ended=True)
 
     @property
     def alive(self) -> bool:
@@ -316,16 +330,21 @@ class Camera:
         ]
         return [
             shown(sentence)
-            for sentence in (*self._problems.values(), self.log.problem, *waiting)
+            for sentence in (
+                *self._problems.values(),
+                self.checkpoints.problem,
+                self.log.problem,
+                *waiting,
+            )
             if sentence
         ]
 
     @property
     def left_out(self) -> LeftOut:
         """How many boxes were left out, and why."""
-        if self._tracker is None:
+        if self.running is None:
             return LeftOut()
-        return self._tracker.left_out
+        return self.running.tracker.left_out
 
     def latency(self) -> tuple[float, float]:
         """Median and 99 % of the seconds from a picture's arrival to its events on disk; NaN if
@@ -343,7 +362,7 @@ class Camera:
         Pictures are drawn while somebody asks for them.
         """
         with self._fresh:
-            self._asked = time.monotonic()
+            self._asked = self._clock()
             self._fresh.wait_for(lambda: self._drawn[0] > after or self._stopped.is_set(), patience)
             return self._drawn
 
@@ -353,7 +372,7 @@ class Camera:
                 self._reload()
                 frame = self.source.next(0.25)
                 if frame is not None:
-                    self._take(frame)
+                    self.process(frame)
                     self._problems.pop("frame", None)
             except Exception as error:
                 # A camera that runs for months is not ended by one picture, or by a full disk.
@@ -367,7 +386,7 @@ class Camera:
         """
         for name, file in self._files_read.items():
             try:
-                if file.read_if_changed(time.monotonic()):
+                if file.read_if_changed(self._clock()):
                     self._problems.pop(name, None)
             except FileNotFoundError:
                 continue
@@ -376,161 +395,145 @@ class Camera:
                     f"the {name} stay as they were: {str(error) or type(error).__name__}"
                 )
 
-    def _places(self, path: Path, first: bool) -> None:
+    def _places(self, path: Path) -> None:
         before, state = self.watched
         watch = replace(before, places=read_places(path))
         self.watched = (watch, watch.carried(state, before))
 
-    def _settings(self, path: Path, first: bool) -> None:
+    def _settings(self, path: Path) -> None:
         """Continue the tracks with other settings. Raises `InputError` for those that cannot
         change.
         """
-        old = self._parts
-        tracker = self._tracker
-        if first or old is None or tracker is None:
+        running = self.running
+        if running is None:
             return
-        parts = self._make(old.info)
+        parts = self._make(running.parts.info)
+        fixed = running.parts.fixed
         names = [
             name
-            for name in sorted({*old.fixed, *parts.fixed})
-            if old.fixed.get(name) != parts.fixed.get(name)
+            for name in sorted({*fixed, *parts.fixed})
+            if fixed.get(name) != parts.fixed.get(name)
         ]
         if names:
             problem = f"{', '.join(names)} cannot change while it runs"
             raise InputError(problem, where=path, cure="End it and start it again.")
-        going_on = Tracker(stages=parts.classes, fps=parts.info.fps, seed=parts.seed)
-        going_on.warm_up()
-        going_on.load_state_dict(tracker.state_dict(), same_settings=False)
-        self._tracker = going_on
+        tracker = Tracker(stages=parts.classes, fps=parts.info.fps, seed=parts.seed)
+        tracker.warm_up()
+        tracker.load_state_dict(running.tracker.state_dict(), same_settings=False)
         # Detector and motion go on with what they know of the last picture.
-        self._parts = parts._replace(detector=old.detector, mover=old.mover)
+        parts = parts._replace(detector=running.parts.detector, mover=running.parts.mover)
+        self.running = running._replace(parts=parts, tracker=tracker)
 
-    def _prepare(self, frame: LiveFrame, fps: float) -> tuple[CameraParts, Tracker]:
-        """The parts for the size of the first picture, and a tracker."""
+    def _begin(self, frame: LiveFrame, fps: float) -> Running:
+        """The parts for the size of the first picture, and a tracker, which continues from the
+        last checkpoint.
+        """
         height, width = frame.image.shape[:2]
         parts = self._make(SequenceInfo(width, height, round(max(fps, 1.0), 1), 0, self.name))
         tracker = Tracker(stages=parts.classes, fps=parts.info.fps, seed=parts.seed)
-        names = self.watched[0].names
         tracker.warm_up()
-        first = self.log.highest("group") + 1
-        self._groups = None
+        groups = None
         if parts.groups is not None:
-            self._groups = OnlineGroups(parts.groups, parts.classes.usual, first)
-        self._annotate = Annotator(parts.info, names=names or None, blur=self.settings.blur)
-        self.maps = Maps.of(width, height)
-        return parts, tracker
+            first = self.log.highest("group") + 1
+            groups = OnlineGroups(parts.groups, parts.classes.usual, first)
+        names = self.watched[0].names or None
+        annotate = Annotator(parts.info, names=names, blur=self.settings.blur)
+        running = Running(parts, tracker, groups, annotate, Maps.of(width, height))
+        if self.settings.checkpoint:
+            self._resume(running, frame)
+        return running
 
-    def _take(self, frame: LiveFrame) -> None:
-        """Send a picture through detector, tracker and watch, into all files."""
-        if self._parts is None or self._tracker is None:
+    def process(self, frame: LiveFrame) -> None:
+        """Send a picture through detector, tracker and watch, into all files. `start` does so with
+        each picture of the source.
+        """
+        if self.running is None:
             status = self.source.status()
-            self._begun = self._begun or time.monotonic()
-            if status.frames < _MEASURED and time.monotonic() - self._begun < _MEASURING:
+            self._begun = self._begun or self._clock()
+            if status.frames < _MEASURED and self._clock() - self._begun < _MEASURING:
                 return
-            try:
-                self._parts, self._tracker = self._prepare(frame, status.fps)
-                self._resume(frame)
-            except Exception:
-                # The next picture begins anew: a half of it would be saved as all there is.
-                self._parts = self._tracker = None
-                raise
+            # If this fails the next picture begins anew: a half of it would be saved as all there
+            # is.
+            self.running = self._begin(frame, status.fps)
+        running = self.running
+        parts = running.parts
         frame = frame._replace(
             number=frame.number + self._ahead[0], time=frame.time + self._ahead[1]
         )
         picture = Frame(frame.number, frame.time, frame.image)
-        parts = self._parts
         for detected in detect_frames(parts.detector, (picture,), parts.mover):
-            tracked = track_frame(self._tracker, detected)
+            tracked = track_frame(running.tracker, detected)
             for observer in self._observers:
                 observer.take(tracked)
         step = tracked.step
         mixture = None
-        if self._groups is not None:
-            mixture = self._groups.mixture(tracked.state.intensity, step)
+        if running.groups is not None:
+            mixture = running.groups.mixture(tracked.state.intensity, step)
         self._held.append(_HeldFrame(frame, step, mixture))
         self.frames = self.frames + 1
         self._last = (frame.number, frame.time, frame.wall)
-        if len(self._held) > self._parts.delay:
+        if len(self._held) > parts.delay:
             held = self._held.popleft()
             with self._files:
                 # When it was stopped while it hung, its files are complete already.
                 if self._open:
-                    self._finish(held, tracked.rows)
+                    self._finish(running, held, tracked.rows)
         # A checkpoint with events that are not written would lose them.
-        due = self.settings.checkpoint and time.monotonic() >= self._due and not self._unwritten
-        if due and not self._saving.is_alive():
-            self._due = time.monotonic() + self.settings.checkpoint
-            self._saving = threading.Thread(
-                target=self._saver(ended=False),
-                name=f"phdtrack {self.name} checkpoint",
-                daemon=True,
-            )
-            self._saving.start()
+        if self.checkpoints.due and not self._unwritten:
+            self.checkpoints.write_beside(*self._state())
 
-    def _saver(self, *, ended: bool) -> Callable[[], None]:
-        """A function that writes a checkpoint of the current state, later and in any thread."""
-        parts = self._parts
-        tracker = self._tracker
-        maps = self.maps
+    def save(self, *, ended: bool = False) -> None:
+        """Write a checkpoint now. ``ended``: no identity will be given after it."""
+        self.checkpoints.wait()
+        self.checkpoints.write(*self._state(), ended=ended)
+
+    def _state(self) -> tuple[str, Callable[[], dict[str, Any]], SavedCamera, int]:
+        """The present state, as `Checkpoints.write` takes it, later and in any thread."""
+        running = self.running
+        assert running is not None
+        info = running.parts.info
+        maps = running.maps
         watch, state = self.watched
-        assert parts is not None
-        assert tracker is not None
-        assert maps is not None
         held = tuple(
             HeldFrame(f.number, f.time, f.wall, step.detections.xyxy) for f, step, _ in self._held
         )
         pictures = (maps.people.copy(), maps.clutter.copy(), maps.time)
         minutes = np.array(self.minutes).reshape(-1, 4)
-        seen = SavedCamera(*self._last, watch.places, state, held, *pictures, minutes)
-        what = (
-            key_of(parts.fixed, parts.info.width, parts.info.height),
-            tracker.snapshot(),
-            seen,
-            tracker.highest,
+        return (
+            key_of(running.parts.fixed, info.width, info.height),
+            running.tracker.snapshot(),
+            SavedCamera(*self._last, watch.places, state, held, *pictures, minutes),
+            running.tracker.highest,
         )
 
-        def write() -> None:
-            try:
-                save(self.settings.folder, *what, ended=ended)
-                self._problems.pop("checkpoint", None)
-            except Exception as error:
-                self._problems["checkpoint"] = f"there is no newer checkpoint: {error}"
-
-        return write
-
-    def _resume(self, frame: LiveFrame) -> None:
+    def _resume(self, running: Running, frame: LiveFrame) -> None:
         """Continue from the checkpoint of an earlier run. If it cannot be used that is reported,
         and its identities are not used again.
         """
-        parts = self._parts
-        tracker = self._tracker
-        assert parts is not None
-        assert tracker is not None
-        if not self.settings.checkpoint:
-            return
+        info = running.parts.info
         highest = self.log.highest() + LOST
-        key = key_of(parts.fixed, parts.info.width, parts.info.height)
         try:
-            saved = load(self.settings.folder, key)
+            saved = load(self.settings.folder, key_of(running.parts.fixed, info.width, info.height))
             if saved is None:
                 self.log.forget_watched()
-                tracker.skip_identities(highest if highest > LOST else 0)
+                running.tracker.skip_identities(highest if highest > LOST else 0)
                 return
             highest = max(saved[0], highest)
             if isinstance(saved[3], InputError):
                 raise saved[3]
-            self._restore(frame, highest, saved[1], saved[2], saved[3])
+            self._restore(running, frame, highest, saved[1], saved[2], saved[3])
         except InputError as error:
-            self._problems["checkpoint"] = (
+            # The next checkpoint takes this sentence away: not at once.
+            self.checkpoints.postpone()
+            self.checkpoints.problem = (
                 f"the checkpoint cannot be used, tracks and counts begin anew: {error}"
             )
-            # The next checkpoint takes this sentence away: not at once.
-            self._due = time.monotonic() + self.settings.checkpoint
             self.log.forget_watched()
-            tracker.skip_identities(highest)
+            running.tracker.skip_identities(highest)
 
     def _restore(
         self,
+        running: Running,
         frame: LiveFrame,
         highest: int,
         ended: bool,
@@ -541,17 +544,14 @@ class Camera:
 
         Parameters
         ----------
+        running : gets the state of the tracker, and the maps.
         frame : the first of this run.
         highest : identity that an earlier run may have used.
         ended : whether the earlier run ended in order.
         packed, saved : state of its tracker, and of everything else.
         """
-        parts = self._parts
-        tracker = self._tracker
-        maps = self.maps
-        assert parts is not None
-        assert tracker is not None
-        assert maps is not None
+        tracker = running.tracker
+        maps = running.maps
         if saved.people.shape != maps.people.shape:
             raise InputError("its maps are of another picture")
         # A run that was killed went on after its checkpoint: up to the last event, and up to the
@@ -560,27 +560,29 @@ class Camera:
         known = SavedWatch(saved.places, saved.watch)
         if number >= (saved.held[0].number if saved.held else saved.number + 1):
             known = SavedWatch.read(content, self.settings.folder)
-        last = max(number, self._rows.last_frame())
+        last = max(number, self.rows.last_frame())
         tracker.load_state_dict(packed, same_settings=False)
         # A run that was killed before its first checkpoint may have followed one that ended in
         # order.
         if not ended or last > saved.number:
             tracker.skip_identities(highest - tracker.highest)
-        interval = max(frame.wall - saved.wall, 1 / parts.info.fps)
+        interval = max(frame.wall - saved.wall, 1 / running.parts.info.fps)
         self._ahead = (
             max(saved.number, last) + 1 - frame.number,
             saved.time + interval - frame.time,
         )
         watch, _ = self.watched
         self.watched = (watch, watch.carried(known.state, replace(watch, places=known.places)))
-        self.maps = Maps(saved.people, saved.clutter, maps.cell, saved.mapped)
+        maps.people = saved.people
+        maps.clutter = saved.clutter
+        maps.time = saved.mapped
         self.minutes.extend(
             Minute(wall, mean, int(most), int(count))
             for wall, mean, most, count in saved.minutes.tolist()
         )
         self._held.extend(_held_frame(one) for one in saved.held if one.number > last)
 
-    def _finish(self, held: _HeldFrame, rows: Tracks) -> None:
+    def _finish(self, running: Running, held: _HeldFrame, rows: Tracks) -> None:
         """Handle a frame whose rows are final: events, files, counts, maps, picture."""
         frame = held.frame
         step = held.step
@@ -588,31 +590,30 @@ class Camera:
         state, events = watch.advance(state, rows, frame.number, frame.time)
         self.watched = (watch, state)
         confirmed = rows.select(rows.confirmed)
-        if self._groups is not None and held.mixture is not None:
-            found = self._groups.events(held.mixture, confirmed, frame.number, frame.time)
+        if running.groups is not None and held.mixture is not None:
+            found = running.groups.events(held.mixture, confirmed, frame.number, frame.time)
             events = (
                 *events,
                 *(Event.of_group(one, k) for k, one in enumerate(found, len(events))),
             )
         self._finished = frame.number
         self._tell(events, frame.wall)
-        self._rows.write(rows, frame.wall)
+        self.rows.write(rows, frame.wall)
         self._latency.append(max(0.0, time.time() - frame.wall))
         probability = step.info.clutter_probability
         known = probability
         if len(probability) != len(step.detections):
             known = np.zeros(len(step.detections))
-        assert self.maps is not None
-        self.maps.add(frame.time, feet(confirmed.xyxy), step.detections.xyxy, known)
+        running.maps.add(frame.time, feet(confirmed.xyxy), step.detections.xyxy, known)
         self.tracks = len(confirmed)
         Minute.add(self.minutes, len(confirmed), frame.wall)
         if not frame.image.size:
             # The frame is of an earlier run.
             return
         recorded = self._video is not None and self._video.due(frame.wall)
-        if not recorded and time.monotonic() - self._asked > _WATCHED:
+        if not recorded and self._clock() - self._asked > _WATCHED:
             return
-        picture = self._annotate(
+        picture = running.annotate(
             frame.image,
             frame.number,
             rows,
@@ -635,11 +636,11 @@ class Camera:
         watch, state = self.watched
         self._unwritten.extend(one.as_dict(self.name, stamp(wall), watch.names) for one in events)
         if not (self._unwritten or self.log.problem) or (
-            time.monotonic() < self._patient and not last
+            self._clock() < self._patient and not last
         ):
             return
         # Not with each picture: another process that holds the table keeps this one waiting.
-        self._patient = time.monotonic() + _AGAIN
+        self._patient = self._clock() + _AGAIN
         try:
             saved = None
             if self.settings.checkpoint:

@@ -402,10 +402,7 @@ def tallies(watch: Watch, events: Sequence[Event], begin: float, end: float) -> 
     found = list[Tally]()
     for place in watch.places:
         mine = [event for event in events if event.place == place.name]
-        if watch.names:
-            labels = sorted({event.class_id for event in mine})
-        else:
-            labels = []
+        labels = sorted({event.class_id for event in mine if watch.names})
         groups = {"all": mine} | {
             watch.names.get(k, str(k)): [e for e in mine if e.class_id == k] for k in labels
         }
@@ -429,10 +426,9 @@ def _tally(place: Place, label: str, events: Sequence[Event], begin: float, end:
         elif event.kind == "exit":
             stays.append(event.time - since.pop(event.identity, event.time))
     stays += [end - start for start in since.values()]
+    mean = math.nan
     if end > begin:
         mean = sum(stays) / (end - begin)
-    else:
-        mean = math.nan
     average, longest = (sum(stays) / len(stays), max(stays)) if stays else (math.nan, math.nan)
     return Tally(place.name, label, entered, left, entered - left, most, mean, average, longest)
 

@@ -16,7 +16,7 @@ import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
 from phdtrack.errors import InputError, shown
@@ -68,7 +68,7 @@ class Page:
     def camera(self, name: str) -> dict[str, object]:
         """Everything about one camera except pictures."""
         one = self.cameras[name]
-        watch, state = self.cameras[name].watched
+        watch, state = one.watched
         status = asdict(one.source.status())
         median, most = one.latency()
         places = [
@@ -125,16 +125,11 @@ class Page:
                 cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY
             )
             ground = np.repeat(grey[..., None] // 2, 3, axis=2)
-        if one.maps is not None:
-            if what == "people":
-                grid = one.maps.people
-            else:
-                grid = one.maps.clutter
+        if one.running is not None:
+            maps = one.running.maps
+            grid = {"people": maps.people, "clutter": maps.clutter}[what]
             # The square root keeps a place visible that is a quarter as busy as the busiest.
-            if grid.max() > 0:
-                share = np.sqrt(grid / grid.max())
-            else:
-                share = grid
+            share = np.sqrt(grid / (grid.max() or 1.0))
             share = np.clip(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR), 0, 1)[
                 ..., None
             ]
@@ -209,10 +204,7 @@ class Page:
                 found["place_left_total"].append((camera | {"place": place.name}, counts.left))
         lines = list[str]()
         for name, rows in found.items():
-            if name.endswith("_total"):
-                kind = "counter"
-            else:
-                kind = "gauge"
+            kind = "counter" if name.endswith("_total") else "gauge"
             lines += [f"# HELP phdtrack_{name} {METRICS[name]}", f"# TYPE phdtrack_{name} {kind}"]
             for labels, value in rows:
                 inside = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
@@ -239,12 +231,6 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
             return Response(data, 200, headers, "image/jpeg")
         return Response(status_code=204, headers=headers)
 
-    async def index(request: Request) -> Response:
-        return HTMLResponse((STATIC / "live.html").read_bytes())
-
-    async def metrics(request: Request) -> Response:
-        return PlainTextResponse(page.metrics(), media_type="text/plain; version=0.0.4")
-
     async def health(request: Request) -> Response:
         dead = [one.name for one in cameras if not one.working]
         return PlainTextResponse(
@@ -267,8 +253,8 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
 
     return Starlette(
         routes=[
-            Route("/", index),
-            Route("/metrics", metrics),
+            Route("/", endpoint((STATIC / "live.html").read_bytes, "text/html")),
+            Route("/metrics", endpoint(page.metrics, "text/plain; version=0.0.4")),
             Route("/healthz", health),
             Route("/api/cameras", endpoint(page.overview)),
             Route("/api/camera/{name:str}", known(endpoint(page.camera))),

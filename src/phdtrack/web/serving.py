@@ -73,9 +73,8 @@ def listen(
     listening = _socket_on(host, (port,) if port else (*preferred, 0))
     shown = f"[{host}]" if ":" in host else host
     loopback = shown in _LOOPBACK_NAMES
-    if loopback:
-        names: tuple[str, ...] = _LOOPBACK_NAMES
-    else:
+    names: tuple[str, ...] = _LOOPBACK_NAMES
+    if not loopback:
         names = (shown, socket.gethostname(), socket.getfqdn())
     if allow:
         shown = allow[0]
