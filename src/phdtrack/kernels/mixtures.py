@@ -17,6 +17,7 @@ from phdtrack.kernels import F8, I8, Real
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, exp_of, log_of
 from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
+from phdtrack.kernels.triangular import invert_lower
 
 # Points that are evaluated at a time.
 CHUNK = 128
@@ -63,13 +64,7 @@ def whitened(mixture: Gaussians) -> Whitened:
         if mixture.weight[j] > 0.0:
             log_weight = math.log(mixture.weight[j])
         log_peak[j] = log_weight - 0.5 * (log_det + d * LOG_2PI)
-        for r in range(d):
-            inverse[j, r, r] = 1.0 / root[r, r]
-            for s in range(r):
-                total = 0.0
-                for q in range(s, r):
-                    total += root[r, q] * inverse[j, q, s]
-                inverse[j, r, s] = -total / root[r, r]
+        invert_lower(root, inverse[j])
     return Whitened(mixture.mean, inverse, log_peak)
 
 

@@ -16,6 +16,7 @@ from phdtrack.kernels import F8, I8, Real
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR, F, cos_sin_turn, exp_of
 from phdtrack.kernels.grid import make_grid, overlapping
+from phdtrack.kernels.triangular import invert_lower
 
 GOLDEN = 0.6180339887498949
 U = np.uint64
@@ -63,12 +64,7 @@ def proposals(mean: F8, cov: F8, rows: I8, counts: I8, limit: float, kept: float
                     rest -= root[j, a, c] * root[j, b, c]
                 root[j, a, b] = np.sqrt(rest) if a == b else rest / root[j, b, b]
             peak[j] /= root[j, a, a]
-            inverse[j, a, a] = 1.0 / root[j, a, a]
-            for b in range(a):
-                total = 0.0
-                for c in range(b, a):
-                    total += root[j, a, c] * inverse[j, c, b]
-                inverse[j, a, b] = -total / root[j, a, a]
+        invert_lower(root[j], inverse[j])
         for a in range(reach.shape[0]):
             reach[a, j] = np.sqrt(limit * cov[j, rows[a], rows[a]])
         # The covariance of a uniform direction and a Gaussian amplitude is half the amplitude's
