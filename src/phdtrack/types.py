@@ -195,8 +195,23 @@ class Truth:
         return len(self.frame)
 
 
+class _Weighted:
+    """Parts with weights whose sum is the expected number of targets."""
+
+    __slots__ = ()
+    weight: F8
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    @property
+    def mass(self) -> float:
+        """The integral of the intensity: the expected number of targets."""
+        return float(self.weight.sum())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Particles:
+class Particles(_Weighted):
     """A weighted particle set.
 
     Attributes
@@ -210,14 +225,6 @@ class Particles:
     state: F8
     weight: F8
     start: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-
-    def __len__(self) -> int:
-        return len(self.weight)
-
-    @property
-    def mass(self) -> float:
-        """The integral of the intensity: the expected number of targets."""
-        return float(self.weight.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,7 +279,7 @@ class ParticleBlocks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GaussianMixture:
+class GaussianMixture(_Weighted):
     """A weighted sum of Gaussians.
 
     Attributes
@@ -288,14 +295,6 @@ class GaussianMixture:
     def empty(cls, dim: int) -> GaussianMixture:
         """No Gaussians of dimension ``dim``."""
         return cls(np.zeros(0), np.zeros((dim, 0)), np.zeros((0, dim, dim)))
-
-    def __len__(self) -> int:
-        return len(self.weight)
-
-    @property
-    def mass(self) -> float:
-        """The integral of the intensity: the expected number of targets."""
-        return float(self.weight.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
