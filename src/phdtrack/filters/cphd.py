@@ -14,18 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.arrays import GATE
-from phdtrack.errors import Checked, Count, NonNegative, PositiveCount, Share
 from phdtrack.filters.cardinality import Cardinalised, poisson, trimmed, weigh
-from phdtrack.filters.phd_gaussian import GMPHD
-from phdtrack.filters.phd_particle import ParticlePHD
+from phdtrack.filters.phd_gaussian import GMPHD, GaussianSettings
+from phdtrack.filters.phd_particle import ParticlePHD, ParticleSettings
 from phdtrack.kernels.esf import thinned
-from phdtrack.models.gaussian import Transform
 from phdtrack.protocols import Filter, Model
-from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
+from phdtrack.types import F8, UpdateInfo
 
 
-class _CPHD(Checked, Filter[Cardinalised]):
+class _CPHD(Filter[Cardinalised]):
     """The recursion, with the settings of a PHD filter."""
 
     __slots__ = ()
@@ -68,48 +65,13 @@ class _CPHD(Checked, Filter[Cardinalised]):
 
 
 @dataclass(frozen=True, slots=True)
-class GMCPHD(_CPHD):
-    """Settings of the GM-CPHD filter; those of `GMPHD` and with its defaults.
-
-    Parameters
-    ----------
-    weight_threshold : Gaussians that weigh less are dropped.
-    merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a
-        stronger one, in its own covariance.
-    max_components : J_max, Gaussians kept, the heaviest; 0: 3000.
-    gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not
-        touch it; 1: no gate.
-    transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
-    initial : the intensity before the first frame; its number is Poisson distributed.
-    """
-
-    weight_threshold: NonNegative = 1e-5
-    merge_distance: NonNegative = 2.0
-    max_components: Count = 0
-    gate_probability: Share = GATE
-    transform: Transform = "linear"
-    initial: GaussianMixture | None = None
+class GMCPHD(GaussianSettings, _CPHD):
+    """The GM-CPHD filter; before the first frame the number is Poisson distributed."""
 
 
 @dataclass(frozen=True, slots=True)
-class ParticleCPHD(_CPHD):
-    """Settings of the particle CPHD filter; those of `ParticlePHD`.
-
-    Parameters
-    ----------
-    particles_per_target : ρ, particles per expected target after resampling.
-    min_particles, max_particles : bounds on the number of particles; 0 stands for none and for 300
-        000.
-    threads : threads that share a frame's work, 0 for one per core; the result is the same to the
-        bit.
-    initial : the intensity before the first frame; its number is Poisson distributed.
-    """
-
-    particles_per_target: PositiveCount = 1500
-    min_particles: Count = 0
-    max_particles: Count = 0
-    threads: Count = 1
-    initial: Particles | GaussianMixture | None = None
+class ParticleCPHD(ParticleSettings, _CPHD):
+    """The particle CPHD filter; before the first frame the number is Poisson distributed."""
 
 
 @lru_cache(maxsize=8)

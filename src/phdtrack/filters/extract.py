@@ -69,9 +69,7 @@ MERGE_DISTANCE = 2.0
 
 
 class _Extraction(Checked):
-    """The common part of the extractions: peaks are counted if the state is of a cardinalised
-    filter and the settings say so.
-    """
+    """The common part of the extractions: of a cardinalised filter, peaks are counted."""
 
     __slots__ = ()
 
@@ -80,14 +78,11 @@ class _Extraction(Checked):
         `protocols.Extractor`.
         """
         settings: Any = self
-        known = isinstance(state, Cardinalised)
-        counting = known and settings.counted
-        found: Estimates = settings._peaks(
-            state.intensity if known else state, z, model, counting=counting
-        )
-        if counting:
+        if isinstance(state, Cardinalised):
+            found: Estimates = settings._peaks(state.intensity, z, model, counting=True)
             return heaviest(found, state.cardinality)
-        return found
+        plain: Estimates = settings._peaks(state, z, model, counting=False)
+        return plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,15 +97,12 @@ class KMeans(_Extraction):
     iterations : how often a cluster's centre may move, and again after each split of it.
     merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice;
         1 for never.
-    counted : of a cardinalised filter, report as many states as its number of targets says; of
-        others it changes nothing.
     """
 
     min_weight: Positive = 0.6
     split_weight: Positive = 1.5
     iterations: PositiveCount = 5
     merge_iou: Share = 0.4
-    counted: bool = True
 
     def _peaks(self, state: Intensity, z: F8, model: Model, *, counting: bool) -> Estimates:
         """The clusters heavy enough, the heaviest divided unless peaks are counted."""
@@ -139,14 +131,13 @@ class Mixture(_Extraction):
     ----------
     min_weight : components of less mass are not targets; M09's 0.5.
     iterations : EM iterations after the start and after each split.
-    split_weight, merge_iou, counted : as of `KMeans`.
+    split_weight, merge_iou : as of `KMeans`.
     """
 
     min_weight: Positive = 0.5
     split_weight: Positive = 1.5
     iterations: PositiveCount = 6
     merge_iou: Share = 0.4
-    counted: bool = True
 
     def _peaks(self, state: Intensity, z: F8, model: Model, *, counting: bool) -> Estimates:
         """The components heavy enough, the heaviest divided; where they are counted, one for each
@@ -211,13 +202,12 @@ class Components(_Extraction):
     min_weight : components of less weight are not targets; Vo and Ma's 0.5.
     repeat : report a component as often as its weight says, rounded, as Vo and Ma do. Joining is
         off then.
-    merge_iou, counted : as of `KMeans`.
+    merge_iou : as of `KMeans`.
     """
 
     min_weight: Positive = 0.5
     repeat: bool = False
     merge_iou: Share = 0.4
-    counted: bool = True
 
     def _peaks(self, state: GaussianMixture, z: F8, model: Model, *, counting: bool) -> Estimates:
         """The components of enough weight, in their order."""

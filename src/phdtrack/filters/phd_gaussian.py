@@ -62,8 +62,8 @@ class Frame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class GMPHD(Checked, Filter[GaussianMixture]):
-    """Settings of the GM-PHD filter; the defaults are E13's, without its cap.
+class GaussianSettings(Checked):
+    """Settings of the GM-PHD and the GM-CPHD filter; the defaults are E13's, without its cap.
 
     Parameters
     ----------
@@ -85,6 +85,11 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     gate_probability: Share = GATE
     transform: Transform = "linear"
     initial: GaussianMixture | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GMPHD(GaussianSettings, Filter[GaussianMixture]):
+    """The GM-PHD filter."""
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
         """The initial intensity; empty without one."""

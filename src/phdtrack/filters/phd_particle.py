@@ -32,8 +32,8 @@ MOST = 300_000
 
 
 @dataclass(frozen=True, slots=True)
-class ParticlePHD(Checked, Filter[Intensity]):
-    """Settings of the particle PHD filter.
+class ParticleSettings(Checked):
+    """Settings of the particle PHD and the particle CPHD filter.
 
     Parameters
     ----------
@@ -43,8 +43,6 @@ class ParticlePHD(Checked, Filter[Intensity]):
         to hold its velocity.
     max_particles : upper bound on the number of particles; 0: 300 000, of which each target has
         fewer than it should where there are very many.
-    skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14
-        does. The default is the filter's update, (1 − p_D) D⁺.
     threads : threads that share a frame's work, 0 for one per core; the result is the same to the
         bit.
     initial : the intensity before the first frame.
@@ -53,9 +51,21 @@ class ParticlePHD(Checked, Filter[Intensity]):
     particles_per_target: PositiveCount = 1500
     min_particles: Count = 0
     max_particles: Count = 0
-    skip_empty_frames: bool = False
     threads: Count = 1
     initial: Particles | GaussianMixture | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParticlePHD(ParticleSettings, Filter[Intensity]):
+    """The particle PHD filter.
+
+    Parameters
+    ----------
+    skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14
+        does. The default is the filter's update, (1 − p_D) D⁺.
+    """
+
+    skip_empty_frames: bool = False
 
     def start(self, model: Model, rng: np.random.Generator) -> Particles:
         """The initial intensity, a mixture as ρ particles per component; empty without one."""

@@ -35,11 +35,6 @@ def test_the_heaviest_as_many_as_there_are(kind: type, rng):
     assert len(kind().extract(Cardinalised(state.intensity, np.ones(1)), z, MODEL)) == 0
     # There are no more states than peaks.
     assert len(kind().extract(Cardinalised(state.intensity, np.eye(9)[8]), z, MODEL)) == 3
-    # Without the number only the weights decide.
-    plain, same = (
-        kind(counted=c).extract(s, z, MODEL) for c, s in ((False, state), (True, state.intensity))
-    )
-    np.testing.assert_array_equal(plain.state, same.state)
 
 
 def test_what_is_near_a_heavier_component_is_part_of_it(rng):
