@@ -80,10 +80,10 @@ pytest: env
 test-slow: env $(CLUSTER) warm
 	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m slow $(PYTEST_ARGS)
 
-# Ray and Rerun are large, and have no wheels for some machines: without them their tests skip.
+# Ray is large, and has no wheels for some machines: without it its tests skip.
 $(CLUSTER): tests/cluster-constraints.txt $(STAMP)
 	@$(PY) -m pip install --quiet --require-hashes --no-deps -r $< && touch $@ \
-		|| echo "Ray and Rerun cannot be installed: their tests are skipped" >&2
+		|| echo "Ray cannot be installed: its tests are skipped" >&2
 
 demo: env
 	$(BIN)/phdtrack demo --out demo-run --overwrite

@@ -47,7 +47,6 @@ EXTRAS = {
     "pyarrow": "phdtrack[parquet]",
     "paho": "phdtrack[mqtt]",
     "ray": "phdtrack[ray]",
-    "rerun": "phdtrack[rerun]",
 }
 """Extras that install the optional packages, by the names of their modules."""
 

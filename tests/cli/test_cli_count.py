@@ -167,7 +167,7 @@ def test_a_camera_is_for_live() -> None:
     assert "Use phdtrack live" in refused("count", "rtsp://127.0.0.1:9/x", "--line", LINE)
 
 
-@pytest.mark.parametrize("kind", sorted(EXPORTS.keys() - {"rerun"}))
+@pytest.mark.parametrize("kind", sorted(EXPORTS))
 def test_a_run_is_exported_in_every_format(run: Path, tmp_path: Path, kind: str) -> None:
     path = tmp_path / f"t{EXPORTS[kind]}"
     said = phdtrack("export", run / "out", "--to", kind, "--out", path, "--json")

@@ -205,7 +205,6 @@ def test_every_optional_package_is_in_an_extra() -> None:
         "all",
         "dev",
         "ray",
-        "rerun",
     }
 
 

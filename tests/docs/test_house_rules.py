@@ -425,10 +425,10 @@ def test_constraints_hold_everything_that_is_needed() -> None:
     }
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     wanted = asked(project["project"]["dependencies"]) | asked(project["build-system"]["requires"])
-    # Of the extras paho-mqtt, Ray and Rerun are not here: one has a stand-in, the others have
-    # constraints of their own.
+    # Of the extras paho-mqtt and Ray are not here: one has a stand-in, the other has constraints of
+    # its own.
     for extra in project["project"]["optional-dependencies"].values():
-        wanted |= asked(extra) - {"phdtrack", "paho-mqtt", "ray", "rerun-sdk"}
+        wanted |= asked(extra) - {"phdtrack", "paho-mqtt", "ray"}
     for name in pinned - {"trackeval", "colorama"}:
         wanted |= asked(metadata.requires(name) or ())
     assert wanted - pinned == set()

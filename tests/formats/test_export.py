@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -47,7 +45,7 @@ def tracks(draw: st.DrawFn) -> Tracks:
     )
 
 
-@pytest.mark.parametrize("kind", sorted(EXPORTS.keys() - {"rerun"}))
+@pytest.mark.parametrize("kind", sorted(EXPORTS))
 @settings(max_examples=15, deadline=None)
 @given(original=tracks(), named=st.booleans())
 def test_exported_tracks_are_read_back(
@@ -133,59 +131,3 @@ def test_class_column_has_several_names(tmp_path: Path, name: str) -> None:
 def test_an_unknown_format_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="Did you mean kitti"):
         export_tracks(tmp_path / "t", Tracks.empty(), "kity")
-
-
-@pytest.mark.slow
-def test_rerun_recording_has_boxes_trails_and_timelines(tmp_path: Path) -> None:
-    """Identity 4 is away in frame 3: it is cleared there, and its trail goes on."""
-    pytest.importorskip("rerun", reason="Rerun is not installed (pip install 'phdtrack[rerun]')")
-    from rerun.chunk import RrdReader
-
-    boxes = np.array(
-        [[10, 20, 30, 60], [100, 20, 130, 60], [12, 20, 32, 60], [16, 20, 36, 62]], float
-    )
-    tracks = replace(
-        Tracks.of([1, 1, 2, 4], [4, 7, 4, 4], boxes, 1.0, -1), class_id=np.array([1, 0, 1, 1])
-    )
-    export_tracks(
-        tmp_path / "t.rrd",
-        tracks,
-        "rerun",
-        {0: "car", 1: "traffic light"},
-        SequenceInfo(640, 480, 10.0),
-    )
-    found: dict[str, list[dict[str, Any]]] = {}
-    for chunk in RrdReader(tmp_path / "t.rrd").stream():
-        batch = chunk.to_record_batch()
-        names = [name for name in batch.schema.names if name in ("frame", "time") or ":" in name]
-        columns = {
-            name.rpartition(":")[2]: (
-                batch.column(name).cast("int64") if name == "time" else batch.column(name)
-            )
-            for name in names
-        }
-        rows = zip(*(column.to_pylist() for column in columns.values()), strict=True)
-        found.setdefault(chunk.entity_path, []).extend(
-            dict(zip(columns, row, strict=True)) for row in rows
-        )
-    shown = [row for row in found["/tracks/4"] if "centers" in row]
-    assert [(row["frame"], row["time"], row["labels"]) for row in shown] == [
-        (1, 0, ["4 traffic light"]),
-        (2, 100_000_000, ["4 traffic light"]),
-        (4, 300_000_000, ["4 traffic light"]),
-    ]
-    assert (shown[2]["centers"], shown[2]["half_sizes"]) == ([[26.0, 41.0]], [[10.0, 21.0]])
-    for entity in ("/tracks/4", "/tracks/4/trail"):
-        assert sorted(row["frame"] for row in found[entity] if "is_recursive" in row) == [3, 5]
-    trail = [row["strips"] for row in found["/tracks/4/trail"] if "strips" in row]
-    assert trail[2] == [[[20.0, 60.0], [22.0, 60.0], [26.0, 62.0]]]
-    assert {row["labels"][0] for row in found["/tracks/7"] if "labels" in row} == {"7 car"}
-
-
-def test_missing_rerun_is_reported_with_install_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(InputError, match=r"pip install 'phdtrack\[rerun\]'"):
-        export_tracks(tmp_path / "t.rrd", Tracks.empty(), "rerun")
-    assert not list(tmp_path.iterdir())

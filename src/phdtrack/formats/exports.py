@@ -1,7 +1,7 @@
 """Export of tracks to the formats of other tools.
 
-MOTChallenge's ten columns, KITTI's eighteen, CSV with a header, Parquet, JSON lines, COCO and CVAT,
-all of which `read_tracks` reads again, and recordings for the Rerun viewer.
+MOTChallenge's ten columns, KITTI's eighteen, CSV with a header, Parquet, JSON lines, COCO and CVAT.
+`read_tracks` reads all of these again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from phdtrack.errors import InputError, did_you_mean, needed
 from phdtrack.files import AnyPath, whole, write_text
 from phdtrack.formats.write import ltwh
-from phdtrack.types import F8, I8, SequenceInfo, Tracks
+from phdtrack.types import F8, SequenceInfo, Tracks
 
 EXPORTS = {
     "motchallenge": ".txt",
@@ -29,11 +29,8 @@ EXPORTS = {
     "coco": ".json",
     "cvat": ".xml",
     "kitti": ".txt",
-    "rerun": ".rrd",
 }
 """The formats of `export_tracks`, and the usual endings of their file names."""
-# Seconds of a track that its trail in a Rerun recording shows.
-_TRAIL = 2.0
 
 
 def export_tracks(
@@ -48,7 +45,7 @@ def export_tracks(
     Frames count from 0 in KITTI and CVAT, from 1 elsewhere. MOTChallenge has no classes, CVAT no
     confidence. CSV, Parquet, JSON lines and COCO have the detection that each row used, and whether
     the row is confirmed. Raises `InputError` if the file cannot be written, the format is unknown,
-    or the package for it (pyarrow, rerun-sdk) is missing.
+    or pyarrow is missing, which Parquet needs.
 
     Parameters
     ----------
@@ -56,7 +53,7 @@ def export_tracks(
     tracks : the rows to write, sorted by frame.
     kind : one of `EXPORTS`.
     names : the names of the classes by number.
-    info : the sequence, for COCO, CVAT and Rerun.
+    info : the sequence, for COCO and CVAT.
     """
     path = Path(path)
     info = info or SequenceInfo(0, 0, 0.0)
@@ -87,9 +84,6 @@ def export_tracks(
             parquet = needed("pyarrow.parquet")
             with whole(path) as part:
                 parquet.write_table(arrow.table(columns), part, compression="zstd")
-            return
-        case "rerun":
-            _rerun(path, tracks, words, info)
             return
         case _:
             raise InputError(
@@ -207,47 +201,3 @@ def _cvat(tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> list[
                 lines.append(box.format(number, 1, *xyxy))
         lines.append("</track>")
     return [*lines, "</annotations>"]
-
-
-def _rerun(path: Path, tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> None:
-    """Write a Rerun recording: for each identity its box, labelled with identity and class, and the
-    path of its foot point in the last two seconds. The timelines are ``frame``, and ``time`` in
-    seconds since the first frame if the frame rate is known.
-    """
-    rr = needed("rerun")
-    fps = info.fps or 25.0
-    with whole(path) as part:
-        recording = rr.RecordingStream("phdtrack")
-        try:
-            recording.save(part)
-        except (OSError, RuntimeError) as error:
-            raise InputError(f"the file cannot be written ({error})", where=path) from None
-
-        def send(entity: str, number: I8, columns: Any) -> None:
-            index = [rr.TimeColumn("frame", sequence=number)]
-            if info.fps:
-                index.append(rr.TimeColumn("time", duration=(number - 1) / fps))
-            rr.send_columns(entity, index, columns, recording=recording)
-
-        for identity in np.unique(tracks.identity).tolist():
-            track = tracks.select(tracks.identity == identity)
-            number = track.frame
-            box = track.xyxy
-            entity = f"tracks/{identity}"
-            foot = np.stack([box[:, [0, 2]].mean(axis=1), box[:, 3]], axis=1)
-            begin = np.searchsorted(number, number - round(_TRAIL * fps))
-            trail = [foot[first : last + 1] for last, first in enumerate(begin.tolist())]
-            label = [f"{identity} {words[k]}" for k in track.class_id.tolist()]
-            color = np.full(len(track), identity % 65536)
-            half_size = (box[:, 2:] - box[:, :2]) / 2
-            centre = (box[:, :2] + box[:, 2:]) / 2
-            boxes = rr.Boxes2D.columns(
-                half_sizes=half_size, centers=centre, labels=label, class_ids=color
-            )
-            send(entity, number, boxes)
-            send(f"{entity}/trail", number, rr.LineStrips2D.columns(strips=trail, class_ids=color))
-            # Clear both in the frame after each gap begins.
-            ended = number[np.diff(number, append=number[-1:] + 2) > 1] + 1
-            for name in (entity, f"{entity}/trail"):
-                send(name, ended, rr.Clear.columns(is_recursive=np.zeros(len(ended), np.bool_)))
-        recording.disconnect()
