@@ -260,7 +260,6 @@ def test_objects_are_detected_with_a_shaking_camera(amount: float, width: int) -
     inner = ChangeDetector()
     detector = Rescaled(inner, width) if width else inner
     study(detector, frames)
-    assert inner.shaky == (amount > 0)
     counts = []
     misses = []
     moved = []
@@ -283,7 +282,6 @@ def test_lost_pose_suspends_detection_for_a_while() -> None:
     frames, _ = passing(4.0, hidden=(39, 40, 41, *range(60, 80)))
     detector = ChangeDetector()
     study(detector, frames)
-    assert detector.shaky
     seen = [detector(frame).observed for frame in frames]
     assert not any(seen[39:42])
     assert all(seen[:39])
@@ -317,4 +315,5 @@ def test_one_textured_patch_is_not_a_shaking_camera() -> None:
         frames.append(Frame(k + 1, k / 10, Planar((320, 240), planes_of(image))))
     detector = ChangeDetector()
     study(detector, frames)
-    assert not detector.shaky
+    detector(frames[0])
+    assert len(detector.pose) == 0

@@ -156,11 +156,6 @@ class ChangeDetector:
         return bool(self._samples) and self._past.samples.shape[1] > 0
 
     @property
-    def shaky(self) -> bool:
-        """True if samples of a file show that the camera shakes."""
-        return self.studied and self._shaky
-
-    @property
     def pose(self) -> F8:
         """(3, 3) map from scene pixels to pixels of the last frame, or `types.STILL` if the camera
         does not shake.
