@@ -21,7 +21,7 @@ from phdtrack.simulate import Rendered, make_scene
 from phdtrack.types import Frame, Image
 
 SIZES = {"QCIF": (176, 144), "768x576": (768, 576), "1080p": (1920, 1080)}
-DETECTORS = ("change", "mean-background", "mog2", "knn", "face", "person")
+DETECTORS = ("change", "mean-background", "mog2", "face", "person")
 FPS = 25.0
 RENDERED = 40
 # The default detector learns for four seconds; one that looks at each frame alone needs only its

@@ -80,7 +80,7 @@ def test_who_stays_among_lights_that_tremble_is_held_back(tmp_path: Path):
     # The change detector knows such lights from its samples of the file.
     assert (
         phdtrack(
-            "detect", yard / "scene.mp4", "--detector", "knn", "--out", tmp_path / "found"
+            "detect", yard / "scene.mp4", "--detector", "mog2", "--out", tmp_path / "found"
         ).status
         == 0
     )

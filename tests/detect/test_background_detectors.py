@@ -18,7 +18,7 @@ from phdtrack.detect.scene_knowledge import knowledge, restore
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame, Image
 
-BACKGROUND = ["change", "mean-background", "mog2", "knn"]
+BACKGROUND = ["change", "mean-background", "mog2"]
 
 
 def build(name: str, **parameters: object) -> Detector:

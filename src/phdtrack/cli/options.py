@@ -69,7 +69,7 @@ FrameSize = Annotated[str, option("WxH", "Size of the frames in pixels, as 1920x
 Fps = Annotated[
     float, option("F", "Frames per second; 0: those of the video or of seqinfo.ini.", min=0.0)
 ]
-_DETECTORS = "change (default), mean-background, mog2, knn, face, person, or onnx:FILE, a network."
+_DETECTORS = "change (default), mean-background, mog2, face, person, or onnx:FILE, a network."
 Detector = Annotated[str, option("NAME", _DETECTORS, autocompletion=listed(_DETECTORS))]
 Source = Annotated[
     str,

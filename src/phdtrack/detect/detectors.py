@@ -11,7 +11,7 @@ from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.components import BlobSettings
 from phdtrack.detect.mean_background import MeanBackgroundDetector
 from phdtrack.detect.onnx import OnnxDetector
-from phdtrack.detect.opencv import FaceDetector, PersonDetector, SubtractorDetector
+from phdtrack.detect.opencv import FaceDetector, Mog2Detector, PersonDetector
 from phdtrack.detect.wrappers import Masked, Rescaled
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.types import Bool, Image, SequenceInfo
@@ -20,15 +20,14 @@ _TYPE_NAMES = {float: "a number", int: "a whole number", bool: "true or false", 
 _BUILD: dict[str, Any] = {
     "change": ChangeDetector,
     "mean-background": MeanBackgroundDetector,
-    "mog2": SubtractorDetector,
-    "knn": SubtractorDetector,
+    "mog2": Mog2Detector,
     "face": FaceDetector,
     "person": PersonDetector,
 }
 DETECTORS = tuple(_BUILD)
 # Detectors that report connected components of what differs from the background: one object,
 # several, or a fragment of one.
-BACKGROUND = ("change", "mean-background", "mog2", "knn")
+BACKGROUND = ("change", "mean-background", "mog2")
 # The prefix of a network's name; its file follows.
 _NETWORK = "onnx:"
 # Pixels on the longer side that background subtraction needs.
@@ -69,7 +68,7 @@ def detector_parameters(name: str) -> dict[str, Any]:
         if name.endswith(".onnx"):
             cure = f"Use {_NETWORK}{name}"
         raise InputError(f"there is no detector {name!r}", cure=cure)
-    known = {field.name: field.default for field in fields(_BUILD[name]) if field.name != "method"}
+    known = {field.name: field.default for field in fields(_BUILD[name])}
     if known.pop("blobs", None):
         known |= {field.name: field.default for field in fields(BlobSettings)}
     return known
@@ -113,8 +112,6 @@ def make_detector(
         target[key] = _converted(key, value, type(known[key]))
     if blobs:
         own["blobs"] = BlobSettings(**blobs)
-    if _BUILD.get(name) is SubtractorDetector:
-        own["method"] = name
     if name.startswith(_NETWORK):
         own["file"] = name.removeprefix(_NETWORK)
     detector: Detector = _BUILD.get(name, OnnxDetector)(**own)

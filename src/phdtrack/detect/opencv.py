@@ -1,7 +1,7 @@
-"""OpenCV's own detectors: the background subtractors MOG2 and KNN, faces by a cascade [M07],
-pedestrians by histograms of gradients.
+"""OpenCV's own detectors: the background subtractor MOG2, faces by a cascade [M07], pedestrians by
+histograms of gradients.
 
-Shadow pixels of MOG2 and KNN are removed. The support vector machine for pedestrians was trained on
+Shadow pixels of MOG2 are removed. The support vector machine for pedestrians was trained on
 windows of 64×128 pixels with people 96 pixels high, so the frame is enlarged to find smaller
 people. The border around the person is cut from its windows, and of overlapping boxes the strongest
 stays. Confidence is the margin of the support vector machine, which is unbounded. OpenCV 5 dropped
@@ -12,11 +12,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
-from annotated_types import Gt
 
 from phdtrack.detect.components import BlobSettings, check_same_size
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, check
@@ -27,32 +26,33 @@ _REPAIR = (
     " --force-reinstall "
 )
 _REPAIR += '"opencv-python-headless>=4.8,<5"'
-SearchStep = Annotated[float, Gt(1)]
 _SURELY_FOREGROUND = 200
 _FALLBACK_INTERVAL = 1.0 / 25.0
+_CASCADE = "haarcascade_frontalface_alt2.xml"
+# Ratio of successive sizes in the search for faces and for people.
+_FACE_STEP = 1.1
+_PERSON_STEP = 1.05
+# Pixels between windows in which people are searched.
+_STRIDE = (8, 8)
 _WINDOW = (64, 128)
 # Width and height of a person as shares of a window of the support vector machine.
 _BODY = np.array([0.55, 0.8])
 
 
 @dataclass(eq=False)
-class SubtractorDetector:
-    """Boxes around the foreground of an OpenCV subtractor.
+class Mog2Detector:
+    """Boxes around the foreground of OpenCV's MOG2, a mixture of Gaussians per pixel.
 
     Attributes
     ----------
-    method : "mog2" (a mixture of Gaussians per pixel) or "knn" (nearest neighbours among a pixel's
-        samples).
     adapt : seconds over which the background is learned and forgotten (time constant).
-    threshold : squared distance from the background; MOG2 in variances (0: 16), KNN in grey levels²
-        (0: 400).
+    threshold : squared distance from the background, in variances.
     warmup : seconds without detections at the beginning.
     blobs : turns the mask into boxes.
     """
 
-    method: str = "mog2"
     adapt: Positive = 20.0
-    threshold: NonNegative = 0.0
+    threshold: Positive = 16.0
     warmup: NonNegative = 0.5
     blobs: BlobSettings = field(default_factory=BlobSettings)
 
@@ -63,21 +63,14 @@ class SubtractorDetector:
     def reset(self) -> None:
         """Forget the scene."""
         self._seen = 0
-        if self.method == "mog2":
-            self._subtractor: Any = cv2.createBackgroundSubtractorMOG2(
-                varThreshold=self.threshold or 16.0
-            )
-        else:
-            self._subtractor = cv2.createBackgroundSubtractorKNN(
-                dist2Threshold=self.threshold or 400.0
-            )
+        self._subtractor: Any = cv2.createBackgroundSubtractorMOG2(varThreshold=self.threshold)
 
     def knowledge(self) -> None:
         """Return None: OpenCV does not hand out its background model."""
 
     def restore(self, knowledge: dict[str, Any]) -> None:
         """Raise `InputError`: OpenCV does not accept a background model."""
-        raise InputError(f"the background model of {self.method} cannot be restored")
+        raise InputError("the background model of mog2 cannot be restored")
 
     def __call__(self, frame: Frame) -> Detections:
         """The boxes of the foreground in ``frame``; none during the warm-up."""
@@ -93,9 +86,6 @@ class SubtractorDetector:
         # Early frames follow OpenCV's own rule, half of the weight in a plain mean, and later ones
         # the time constant.
         rate = max(0.5 / self._seen, min(1.0, interval / self.adapt))
-        # KNN chooses the samples that it replaces with OpenCV's global random generator. Seeding it
-        # makes runs repeatable.
-        cv2.setRNGSeed(self._seen)
         mask = self._subtractor.apply(frame.image, learningRate=rate)
         if frame.time - self._began < self.warmup:
             return Detections.empty()
@@ -115,53 +105,29 @@ def from_opencv(name: str) -> Any:
     return found
 
 
-def cascade_file(name: str) -> Path:
-    """The path of a cascade that OpenCV ships, or of the user's own. Raises `InputError` if there
-    is none.
-    """
-    own = Path(name)
-    if own.suffix == ".xml" and own.is_file():
-        return own
-    folder = Path(from_opencv("data").haarcascades)
-    path = folder / f"haarcascade_{name}.xml"
-    if not path.is_file():
-        names = sorted(
-            file.stem.removeprefix("haarcascade_") for file in folder.glob("haarcascade_*.xml")
-        )
-        known = f"This OpenCV ships none. Repair it with: {_REPAIR}"
-        if names:
-            known = f"OpenCV ships {', '.join(names)}."
-        cure = f"{known} An .xml file of your own works too."
-        raise InputError(f"there is no cascade {name!r}", where="cascade", cure=cure)
-    return path
-
-
 @dataclass(eq=False)
 class FaceDetector:
-    """Faces, or other objects, found by a Viola-Jones cascade. It learns nothing from frames.
+    """Faces, found by a Viola-Jones cascade. It learns nothing from frames.
 
     Attributes
     ----------
-    cascade : name of a cascade that OpenCV ships ("frontalface_alt2", "profileface", "fullbody", …)
-        or an .xml file.
     scale : factor by which the frame is enlarged first, to find small faces.
-    step : ratio of successive sizes in the search, above 1; smaller is slower and finds more.
     neighbours : overlapping hits that make a face.
     min_size : smallest face, fraction of the frame's height.
     """
 
-    cascade: str = "frontalface_alt2"
     scale: Positive = 1.0
-    step: SearchStep = 1.1
     neighbours: PositiveCount = 3
     min_size: Probability = 0.04
 
     def __post_init__(self) -> None:
         check(self)
-        path = cascade_file(self.cascade)
+        path = Path(from_opencv("data").haarcascades) / _CASCADE
         self._classifier: Any = from_opencv("CascadeClassifier")(str(path))
         if self._classifier.empty():
-            raise InputError("this is not a cascade that OpenCV can read", where=path)
+            raise InputError(
+                "this OpenCV cannot read its own cascade", where=path, cure=f"Repair: {_REPAIR}"
+            )
 
     def reset(self) -> None:
         """Do nothing: there is nothing to forget."""
@@ -172,7 +138,7 @@ class FaceDetector:
         grey = _enlarged(np.asarray(grey, np.uint8), self.scale)
         least = max(1, round(self.min_size * grey.shape[0]))
         found = self._classifier.detectMultiScale(
-            grey, scaleFactor=self.step, minNeighbors=self.neighbours, minSize=(least, least)
+            grey, scaleFactor=_FACE_STEP, minNeighbors=self.neighbours, minSize=(least, least)
         )
         boxes = np.array(found, np.float64).reshape(-1, 4) / self.scale
         boxes[:, 2:] += boxes[:, :2]
@@ -188,24 +154,16 @@ class PersonDetector:
     ----------
     scale : factor by which the frame is enlarged first; people below 96 pixels in the enlarged
         frame are not found.
-    step : ratio of successive sizes in the search, above 1.
-    stride : pixels between windows in the enlarged frame, a multiple of 8.
     threshold : least margin of the support vector machine.
     overlap : of two boxes with a larger intersection over union only the stronger one is kept.
     """
 
     scale: Positive = 1.5
-    step: SearchStep = 1.05
-    stride: PositiveCount = 8
     threshold: float = 0.5
     overlap: Probability = 0.4
 
     def __post_init__(self) -> None:
         check(self)
-        if self.stride % 8:
-            raise InputError(
-                f"expected a multiple of 8, got {self.stride}", where="PersonDetector.stride"
-            )
         self._hog: Any = from_opencv("HOGDescriptor")()
         self._hog.setSVMDetector(from_opencv("HOGDescriptor_getDefaultPeopleDetector")())
 
@@ -220,8 +178,8 @@ class PersonDetector:
         windows, margins = self._hog.detectMultiScale(
             image,
             hitThreshold=self.threshold,
-            winStride=(self.stride, self.stride),
-            scale=self.step,
+            winStride=_STRIDE,
+            scale=_PERSON_STEP,
             groupThreshold=0,
         )
         corner, size = np.hsplit(np.array(windows, np.float64).reshape(-1, 4) / self.scale, 2)
