@@ -189,6 +189,23 @@ def test_printed_settings_are_read_back_to_the_same(preset: str, filter_name: st
         assert config.load(path).as_dict() == settings.as_dict()
 
 
+def test_settings_of_classes_are_read_back(tmp_path):
+    """From a file and from options, the later in place of the earlier."""
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        '[classes."traffic light"]\nmin_score = 0.3\n[classes.car.sensor]\nbox_noise = 0.2\n',
+        encoding="utf-8",
+    )
+    sets = ["classes.car.sensor.detection_probability=0.8", "classes.car.min_size=20"]
+    settings = config.load(path, sets)
+    assert settings.of_classes == {
+        "traffic light": {"min_score": 0.3},
+        "car": {"sensor": {"box_noise": 0.2, "detection_probability": 0.8}, "min_size": 20},
+    }
+    path.write_text(as_toml(settings, everything=False), encoding="utf-8")
+    assert config.load(path).as_dict() == settings.as_dict()
+
+
 @pytest.mark.parametrize("filter_name", [name for name in SECTIONS["filter"] if unfit("d14", name)])
 def test_uniform_births_are_refused_by_gaussian_filters(filter_name: str):
     with pytest.raises(InputError, match="birth"):

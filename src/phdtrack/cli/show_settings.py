@@ -9,6 +9,7 @@ import inspect
 import json
 import re
 import textwrap
+from collections.abc import Mapping
 from dataclasses import is_dataclass
 from typing import Annotated, Any
 
@@ -77,7 +78,8 @@ def as_toml(found: Settings, *, everything: bool) -> str:
         out += ["", f"[{section}]"]
         for name, value in shown.items():
             words = f"  # {meaning[name]}" if name in meaning else ""
-            out.append(f"{name} = {toml_value(value)}{words}")
+            key = name if name.isidentifier() else json.dumps(name, ensure_ascii=False)
+            out.append(f"{key} = {toml_value(value)}{words}")
     return "\n".join(out)
 
 
@@ -87,6 +89,9 @@ def toml_value(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(toml_value(item) for item in value)}]"
+    if isinstance(value, Mapping):
+        inside = (f"{json.dumps(name)} = {toml_value(own)}" for name, own in value.items())
+        return f"{{{', '.join(inside)}}}"
     return repr(value)
 
 

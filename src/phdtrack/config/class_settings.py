@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Collection, Iterable, Mapping
 
 from phdtrack.config.build import build
 from phdtrack.config.sections import ClassOptions, Label
-from phdtrack.config.settings import Settings, Values, overlay, parsed_value
+from phdtrack.config.settings import Settings, Values, overlay
 from phdtrack.errors import InputError
 from phdtrack.multiclass import ClassSettings
 from phdtrack.types import SequenceInfo
 
 # The sections of which a class may have values of its own.
-_SECTIONS = (
+SECTIONS = (
     "motion",
     "sensor",
     "birth",
@@ -26,6 +24,8 @@ _SECTIONS = (
     "smooth",
     "detection_scores",
 )
+# The limits that a class may have, and what they are without it.
+_LEAST: Values = {"min_score": -math.inf, "min_size": 0.0}
 
 
 def build_classes(
@@ -50,7 +50,8 @@ def build_classes(
     options: ClassOptions = settings.build("classes")
     known = dict(enumerate(options.names)) | dict(names or {})
     # A file need not contain every class that the settings name.
-    absent = _absent(options, known) if names else set()
+    stated = [*settings.of_classes, *(label for group in options.together for label in group)]
+    absent = _absent(stated, known) if names else set()
     first = dict[int, int]()
     for group in options.together:
         members = [
@@ -59,11 +60,11 @@ def build_classes(
             if str(label).lower() not in absent
         ]
         first |= dict.fromkeys(members, members[0])
-    own = _ClassValues()
-    for text in options.each:
-        label = text.partition(".")[0]
-        if label.lower() not in absent:
-            own.add(text, _number_of(label, known, None, f"classes.{text}"), first)
+    own = {
+        _number_of(label, known, None, f"classes.{label}"): values
+        for label, values in settings.of_classes.items()
+        if label.lower() not in absent
+    }
     # Without a camera positions are in metres, and the image's size says nothing about them.
     in_pixels = settings.kind("motion") != "plane" or settings.build("camera").file
     size = (float(info.width), float(info.height)) if in_pixels else (0.0, 0.0)
@@ -71,57 +72,51 @@ def build_classes(
         build(settings, info, moving=moving),
         {
             number: build(overlay(settings, values, "classes"), info, moving=moving)
-            for number, values in own.sections.items()
+            for number, values in _own_sections(own, first).items()
         },
         first,
         tuple(_number_of(label, known, present, "classes.only") for label in options.only),
-        own.least,
+        {number: _least(values) for number, values in own.items() if values.keys() & _LEAST},
         names=known,
         limits=settings.build("limits", frame_size=size),
     )
 
 
-@dataclass(slots=True)
-class _ClassValues:
-    """Values that classes have of their own: sections by class, and by class the least score and
-    the least length of a box's longer side.
+def _own_sections(
+    own: Mapping[int, Values], first: Mapping[int, int]
+) -> dict[int, dict[str, Values]]:
+    """The sections that classes have of their own, by class; classes that are tracked together
+    share the values of the ``first``. Raises `InputError` for anything else but the limits.
     """
-
-    sections: dict[int, dict[str, Values]] = field(default_factory=dict)
-    least: dict[int, tuple[float, float]] = field(default_factory=dict)
-
-    def add(self, text: str, number: int, first: Mapping[int, int]) -> None:
-        """Add ``CLASS.section.name=value``, or one of the limits, of the class with this number;
-        classes that are tracked together share the values of the ``first``. Raises `InputError` for
-        any other setting.
-        """
-        path, _, value = text.partition("=")
-        setting = path.partition(".")[2]
-        section, _, key = setting.partition(".")
-        score, side = self.least.get(number, (-math.inf, 0.0))
-        if setting == "min_score":
-            self.least[number] = (_number(value, f"classes.{text}"), side)
-        elif setting == "min_size":
-            self.least[number] = (score, _number(value, f"classes.{text}"))
-        elif section in _SECTIONS and key and key != "kind":
-            values = self.sections.setdefault(first.get(number, number), {})
-            values.setdefault(section, {})[key] = parsed_value(value)
-        else:
-            sections = ", ".join(f"{name}.…" for name in _SECTIONS)
-            raise InputError(
-                f"a class has no {setting or 'such setting'} of its own",
-                where=f"classes.{text}",
-                cure=f"It may have min_score, min_size, {sections}; kinds hold for all classes.",
-            )
+    sections = dict[int, dict[str, Values]]()
+    for number, values in own.items():
+        for name, value in values.items():
+            if name in _LEAST:
+                continue
+            if name not in SECTIONS or not isinstance(value, Mapping) or "kind" in value:
+                known = ", ".join((*_LEAST, *(f"{section}.…" for section in SECTIONS)))
+                raise InputError(
+                    f"a class cannot have {name} = {value} of its own",
+                    where="classes",
+                    cure=f"It may have {known}; kinds hold for all classes.",
+                )
+            stated = sections.setdefault(first.get(number, number), {})
+            stated[name] = {**stated.get(name, {}), **value}
+    return sections
 
 
-def _absent(options: ClassOptions, known: Mapping[int, str]) -> set[str]:
-    """The names, in lower case, of classes that the settings state and the detector does not
-    have.
-    """
-    stated = [str(label) for group in options.together for label in group]
-    stated += [text.partition(".")[0] for text in options.each]
-    words = {label.lower() for label in stated if not label.isdecimal()}
+def _least(values: Values) -> tuple[float, float]:
+    """The least score and the least length of a box's longer side of a class."""
+    stated = {**_LEAST, **values}
+    for name in _LEAST:
+        if isinstance(stated[name], bool) or not isinstance(stated[name], (int, float)):
+            raise InputError(f"expected a number, got {stated[name]}", where=f"classes, {name}")
+    return float(stated["min_score"]), float(stated["min_size"])
+
+
+def _absent(labels: Iterable[Label], known: Mapping[int, str]) -> set[str]:
+    """The names, in lower case, of classes that the detector does not have."""
+    words = {str(label).lower() for label in labels if not str(label).isdecimal()}
     return words - {name.lower() for name in known.values()}
 
 
@@ -145,11 +140,3 @@ def _number_of(
             cure = "Say what the numbers stand for: classes.names, from class 0 on."
         raise InputError(f"there is no class {word} in these detections", where=where, cure=cure)
     return found
-
-
-def _number(value: str, where: str) -> float:
-    """The value as a number."""
-    number: Any = parsed_value(value)
-    if isinstance(number, bool) or not isinstance(number, (int, float)):
-        raise InputError(f"expected a number, got {value}", where=where)
-    return float(number)

@@ -60,11 +60,7 @@ def preset_values(preset: str) -> Mapping[str, Mapping[str, Any]]:
 
 
 def _typed(value: Any) -> Any:
-    """A value with the types that settings have: TOML's arrays as tuples, places as a list of
-    them.
-    """
-    if not isinstance(value, list):
-        return value
-    if isinstance(value[0], list):
-        return [tuple(place) for place in value]
-    return tuple(value)
+    """A value with the types that settings have: TOML's arrays as tuples."""
+    if isinstance(value, list):
+        return tuple(map(_typed, value))
+    return value

@@ -15,7 +15,7 @@ from phdtrack.errors import Checked, InputError, NonNegative, Positive, check
 from phdtrack.models.volumes import EVERYWHERE, Region, check_region
 from phdtrack.types import GaussianMixture
 
-Places = list[tuple[float, float, float, float, float]]
+Places = tuple[tuple[float, float, float, float, float], ...]
 """Gaussians on the ground: x, y in metres, weight, deviations of position (m), speed (m/s)."""
 Label = int | str
 """A class, by its number or its name."""
@@ -84,21 +84,21 @@ class SceneOptions:
 class ClassOptions:
     """Settings of a detector's classes, each called by its name or its number.
 
+    A class may have settings of its own: ``min_score``, ``min_size`` (longer side, pixels) and
+    those of `class_settings.SECTIONS`. In a file they are the tables [classes.car] and
+    [classes.car.sensor], on the command line ``classes.car.min_score=0.3``.
+
     Parameters
     ----------
     only : classes that are tracked; none: all.
     together : classes that the detector confuses, as [["car", "truck"]]; a track may change between
         them.
     names : names of the classes 0, 1, 2, …, if the detections have numbers only.
-    each : settings of one class, as "car.sensor.detection_probability=0.9", "car.min_score=0.3" or
-        "car.min_size=20" (longer side, pixels); in a file the table [classes.car.sensor], on the
-        command line classes.car.min_score.
     """
 
     only: tuple[Label, ...] = ()
     together: tuple[tuple[Label, ...], ...] = ()
     names: tuple[str, ...] = ()
-    each: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         known = [str(one).lower() for group in self.together for one in group]

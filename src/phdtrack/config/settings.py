@@ -18,8 +18,6 @@ unknown name is an error that names the nearest one.
 
 from __future__ import annotations
 
-import datetime
-import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -124,6 +122,12 @@ class Settings:
         names = {field.name for field in fields(chosen)}
         return chosen(**{name: value for name, value in values.items() if name in names})
 
+    @property
+    def of_classes(self) -> dict[str, Values]:
+        """The settings that classes have of their own, by name or number."""
+        given = self.given.get("classes", {})
+        return {label: dict(own) for label, own in given.items() if isinstance(own, Mapping)}
+
     def as_dict(self) -> dict[str, Any]:
         """Every setting with its value: what run.json records and `load` reads back."""
         out: dict[str, Any] = {"preset": self.preset}
@@ -132,6 +136,7 @@ class Settings:
             values = {**constructor_defaults(section, kind), **self.values(section)}
             stated = {name: value for name, value in values.items() if value is not None}
             out[section] = {"kind": kind, **stated} if kind else stated
+        out["classes"] |= self.of_classes
         return out
 
     def _preset_kind(self, section: str) -> str:
@@ -224,25 +229,7 @@ def _entries(sections: Mapping[str, Any], where: str) -> list[_Entry]:
             raise InputError(
                 f"expected a section [{section}] with names and values, got {values!r}", where=where
             )
-        for name, value in values.items():
-            if section == "classes" and isinstance(value, Mapping):
-                entries += _class_entries(name, value, where)
-            else:
-                entries.append(_Entry(section, name, value, where))
-    return entries
-
-
-def _class_entries(label: str, values: Mapping[str, Any], where: str) -> list[_Entry]:
-    """The table [classes.LABEL] as ``classes.each`` states it."""
-    entries = []
-    for name, inner in values.items():
-        if isinstance(inner, Mapping):
-            pairs = [(f"{name}.{key}", last) for key, last in inner.items()]
-        else:
-            pairs = [(name, inner)]
-        for path, last in pairs:
-            text = f"{label}.{path}={json.dumps(last)}"
-            entries.append(_Entry("classes", "each", (text,), where))
+        entries += [_Entry(section, name, value, where) for name, value in values.items()]
     return entries
 
 
@@ -281,9 +268,10 @@ def _state(settings: Settings, given: dict[str, Values], entry: _Entry) -> None:
     if section == "detector":
         values[key] = value
         return
+    if section == "classes" and isinstance(value, Mapping):
+        values[key] = _merged(values.get(key), value)
+        return
     value = _checked(settings, entry)
-    if (section, key) == ("classes", "each"):
-        value = (*values.get("each", ()), *value)
     values[key] = value
     rates = _RATES.get(section, ())
     if key in rates and value:
@@ -291,6 +279,13 @@ def _state(settings: Settings, given: dict[str, Values], entry: _Entry) -> None:
         other = rates[1 - rates.index(key)]
         if other in settable(section, settings.kind(section)):
             values[other] = 0.0
+
+
+def _merged(earlier: Any, later: Any) -> Any:
+    """Nested tables, those of ``later`` in place of the same ones of ``earlier``."""
+    if not isinstance(earlier, Mapping) or not isinstance(later, Mapping):
+        return later
+    return {**earlier, **{name: _merged(earlier.get(name), own) for name, own in later.items()}}
 
 
 def _checked(settings: Settings, entry: _Entry) -> Any:
@@ -336,26 +331,9 @@ def _check(settings: Settings, where: str) -> None:
     for deciding, kind in kinds.items():
         for section, fitting in FITTING[deciding, kind].items():
             if kinds[section] not in fitting:
-                raise _unfit((deciding, kind), (section, kinds[section]), fitting, where)
-
-
-def _unfit(
-    deciding: tuple[str, str], unfit: tuple[str, str], fitting: tuple[str, ...], where: str
-) -> InputError:
-    """The error for two kinds that do not go together; ``fitting`` are those that would."""
-    by, kind = deciding
-    section, chosen = unfit
-    # A filter that names no extraction has none; births that name no filter go with all.
-    if by in DECIDING:
-        unnamed: tuple[str, ...] = ()
-        cure = f"Leave {section}.kind out, or use"
-    else:
-        unnamed = (chosen,)
-        cure = "Use"
-    others = [other for other in SECTIONS[by] if chosen in FITTING[by, other].get(section, unnamed)]
-    elsewhere = f"; it goes with {by}.kind={' or '.join(others)}" if others else ""
-    problem = f"{section}.kind={chosen} does not fit {by}.kind={kind}"
-    return InputError(problem, where=where, cure=f"{cure} {' or '.join(fitting)}{elsewhere}")
+                problem = f"{section}.kind={kinds[section]} does not fit {deciding}.kind={kind}"
+                cure = f"Use {section}.kind={' or '.join(fitting)}, or another {deciding}.kind"
+                raise InputError(problem, where=where, cure=cure)
 
 
 def _assignment(text: str) -> _Entry:
@@ -371,23 +349,21 @@ def _assignment(text: str) -> _Entry:
         raise InputError("expected section.name=value", where=f"--set {text}", cure=cure)
     if section not in SECTIONS:
         raise _unknown("section", section, list(SECTIONS), f"--set {text}")
-    if section == "classes" and "." in key:
-        return _Entry("classes", "each", (f"{key}={value}",), f"--set {text}")
-    return _Entry(section, key, parsed_value(value), f"--set {text}")
+    key, *inner = key.split(".")
+    stated = _parsed(value)
+    for name in reversed(inner):
+        stated = {name: stated}
+    return _Entry(section, key, stated, f"--set {text}")
 
 
-def parsed_value(value: str) -> Any:
+def _parsed(value: str) -> Any:
     """A value that was written as TOML, or a word without quotes."""
     # TOML needs a digit before the point; people who type .1 mean a number.
     plain = re.sub(r"^([+-]?)\.(?=\d)", r"\g<1>0.", value)
     try:
-        parsed = tomllib.loads(f"value = {plain}")["value"]
+        return tomllib.loads(f"value = {plain}")["value"]
     except (ValueError, RecursionError):
         return value
-    # No setting is a moment; TOML takes 19:30:00 for one.
-    if isinstance(parsed, (datetime.date, datetime.time)):
-        return value
-    return parsed
 
 
 def _unknown(what: str, name: str, known: Sequence[str], where: str, owner: str = "") -> InputError:
