@@ -9,7 +9,7 @@ few marks it may be 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,28 +20,31 @@ from experiments.common import (
     Case,
     Options,
     followed,
-    in_parallel,
     pyplot,
     table,
     uniform_density,
-    with_interval,
     with_scene,
     write,
 )
 from experiments.m09_lessons import as_lesson, false_alarms, marked_births
-from experiments.m09_runs import ABLATIONS, GM, UM, SceneRun, SceneScores, score, seconds_per_frame
+from experiments.m09_runs import ABLATIONS, GM, UM, SceneRun, SceneScores, score
 from experiments.m09_scenes import (
-    FRAMES,
-    HELD_OUT,
-    REAL,
     RENDERED,
-    SHORT,
     Halves,
-    detector_seconds,
-    halves,
     stretch,
 )
-from experiments.scenes import FINDINGS, SCORES, SceneResults, number, short_of, times
+from experiments.scenes import (
+    SCORES,
+    SceneResults,
+    Study,
+    findings,
+    gains,
+    number,
+    results,
+    scores,
+    short_of,
+    times,
+)
 from phdtrack import config
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.label.samples import Marks, shuffled
@@ -63,8 +66,6 @@ SHARES = (0.01, 0.1, 1.0)
 # runs before each.
 JUDGED = 40
 LEAD = 50
-SEEDS = 3
-LONG_SEEDS = 1
 # The full learned model, regardless of the marked frames.
 WHOLE = "whole"
 # Births a time unit and false alarms a frame of the uniform model.
@@ -273,7 +274,7 @@ class Judge:
         return int(np.where(self.false[number - 1][rows], -1, 1).sum())
 
 
-def stages_of(one: SceneRun, scene: PaperScene, halved: Halves) -> AnyStages:
+def stages_of(one: SceneRun, halved: Halves, scene: PaperScene) -> AnyStages:
     """The stages of a run [M09 §V]; a run "GM 100" uses 100 marks."""
     if one.filter == "m09-mht":
         return config.build(config.load(preset="m09-mht"), halved.test.info)
@@ -309,7 +310,7 @@ def stages_of(one: SceneRun, scene: PaperScene, halved: Halves) -> AnyStages:
 def work(job: tuple[SceneRun, Halves, PaperScene]) -> SceneScores:
     """One run, scored."""
     one, halved, scene = job
-    return score(one, halved, stages_of(one, scene, halved))
+    return score(one, halved, stages_of(one, halved, scene))
 
 
 def runs_of(
@@ -340,51 +341,18 @@ def runs_of(
 
 def main(options: Options) -> Path:
     """Run everything and write m09.md and its picture."""
-    names = RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
-    quick = options.quick
-    scene_jobs = [(name, SHORT if quick else FRAMES) for name in names]
-    scenes = dict(
-        zip(
-            names,
-            in_parallel(halves, scene_jobs, "m09, rendering and detecting", options),
-            strict=True,
-        )
-    )
-    lessons = [
-        (name, seed)
-        for name in names
-        for seed in range(1, options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) + 1)
-    ]
-    lesson_jobs = [(scenes[name], seed) for name, seed in lessons]
-    learned = dict(
-        zip(lessons, in_parallel(learn, lesson_jobs, "m09, learning", options), strict=True)
-    )
-    runs = runs_of(scenes, learned, quick)
-    jobs = [(run, scenes[run.scene], learned[run.scene, run.seed]) for run in runs]
-    scored = dict(zip(runs, in_parallel(work, jobs, "m09", options), strict=True))
-    timings = {}
-    for name in (name for name in (RENDERED[0], REAL[0]) if name in names):
-        both = [
-            stages_of(SceneRun(name, 1, run), learned[name, 1], scenes[name]) for run in (UM, GM)
-        ]
-        timings[name] = (
-            *seconds_per_frame(both, scenes[name].test, 400 if quick else 1000),
-            detector_seconds(scenes[name]),
-        )
-    found = SceneResults(scenes, scored, learned, timings)
-    curves = {name: curve(found, learned, name) for name in names}
+    found = results(Study("m09", learn, runs_of, stages_of, work), options)
+    learned = found.learned
+    curves = {name: curve(found, learned, name) for name in found.scenes}
     draw(curves, found, options.folder / "m09-marks.png")
-    tables: Mapping[str, Callable[..., str]] = {
-        "claims": _claims,
-        "gains": _gains,
-        "scores": _scores,
-        "sweep": _sweep,
-    }
     return write(
         "m09",
         options,
-        **{name: make(found) for name, make in tables.items()},
-        findings=_findings(found),
+        claims=_claims(found),
+        gains=gains(found, {name: [name] for name in found.scenes}, RUNS),
+        scores=scores(found, (UM, GM, WHOLE)),
+        sweep=_sweep(found),
+        findings=findings(found),
         curve=_curves(curves, found),
         delays=_delays(found),
         rivals=_rivals(found),
@@ -471,48 +439,6 @@ def _claims(found: SceneResults) -> str:
         ),
     ]  # fmt: skip
     return table(("the paper", "score", f"ours: {', '.join(names)}"), rows)
-
-
-def _findings(found: SceneResults) -> str:
-    rows = [
-        (
-            scene,
-            *(
-                f"{found.mean(scene, a, 'MOTA') - found.mean(scene, b, 'MOTA'):+.3f}"
-                for a, b in FINDINGS
-            ),
-        )
-        for scene in found.scenes
-    ]
-    return table(("scene", *(f"{a} less {b}" for a, b in FINDINGS)), rows)
-
-
-def _gains(found: SceneResults) -> str:
-    rows = [
-        (scene, run, *(with_interval(found.gain([scene], run, one), sign="+") for one in SCORES),
-         with_interval(found.gain([scene], run, "false_tracks"), 0, "+"))
-        for scene in found.scenes for run in RUNS if run != UM
-    ]  # fmt: skip
-    return table(
-        ("scene", "run", *(f"{one}, less UM" for one in SCORES), "false tracks, less UM"), rows
-    )
-
-
-def _scores(found: SceneResults) -> str:
-    keys = ("misses", "false_positives", "id_switches", "false_tracks")
-    rows = [
-        (
-            scene,
-            run,
-            *(found.mean(scene, run, one) for one in SCORES),
-            *(round(found.mean(scene, run, key)) for key in keys),
-        )
-        for scene in found.scenes
-        for run in (UM, GM, WHOLE)
-    ]
-    return table(
-        ("scene", "run", *SCORES, "misses", "false boxes", "switches", "false tracks"), rows
-    )
 
 
 def _delays(found: SceneResults) -> str:

@@ -8,7 +8,6 @@ range, with the noises of the literature. All filters have the scenario's model.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,17 @@ import numpy as np
 from experiments.bearing import BearingSensor, TurningMotion
 from experiments.common import Options, filled, pyplot
 from experiments.scans import (
-    PLAIN_PMB,
+    FEW,
+    NEWBORN,
+    RUNS,
+    SIDE,
     FilterRun,
     Realisation,
     SetErrors,
     Stages,
     compared,
     curves,
+    filters_of,
     followed,
     measured,
     tables,
@@ -36,25 +39,12 @@ from experiments.standard_scenes import (
     turning,
     turning_states,
 )
-from phdtrack.filters import (
-    GMCPHD,
-    GMPHD,
-    MHT,
-    PMBM,
-    BestBernoullis,
-    BestHypothesis,
-    ParticleCPHD,
-    ParticlePHD,
-)
-from phdtrack.filters.extract import Components, KMeans, Mixture
+from phdtrack.filters import GMCPHD
+from phdtrack.filters.extract import Components
 from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture
 
-# Runs of the first case, of the others, and in the short form.
-RUNS = 100
-SIDE = 50
-FEW = 2
 # The noises of this scene in the literature, see `standard_scenes`.
 CASES = {
     "σ_w 5, σ_θ 2°, σ_r 10, λ 20": Turning(),
@@ -65,19 +55,8 @@ CASES = {
     "as the first, p_D falling": Turning(fade=2000.0),
 }
 FIRST_CASE = next(iter(CASES))
-PER_TARGET = 1500
-NEWBORN = 500
-FILTERS: dict[str, Stages] = {
-    "gm-phd": (GMPHD(1e-5, 2.0, 100, transform="unscented"), Components(repeat=True)),
+FILTERS: dict[str, Stages] = filters_of("unscented") | {
     "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform="unscented"), Components(merge_iou=1.0)),
-    "particle-phd": (ParticlePHD(PER_TARGET), KMeans(min_weight=0.5, merge_iou=1.0)),
-    "particle-cphd": (ParticleCPHD(PER_TARGET), Mixture(merge_iou=1.0)),
-    "mht": (MHT(transform="unscented"), BestHypothesis()),
-    "pmbm": (PMBM(transform="unscented"), BestHypothesis(smoothed=True)),
-    "pmb": (
-        replace(PLAIN_PMB, transform="unscented"),
-        BestBernoullis(merge_iou=0.5),
-    ),
 }
 
 

@@ -31,9 +31,21 @@ import numpy as np
 from experiments.common import Options, in_parallel, pyplot, table
 from phdtrack.arrays import GATE
 from phdtrack.compare.statistics import Interval, interval
-from phdtrack.filters import PMB
+from phdtrack.filters import (
+    GMCPHD,
+    GMPHD,
+    MHT,
+    PMB,
+    PMBM,
+    BestBernoullis,
+    BestHypothesis,
+    ParticleCPHD,
+    ParticlePHD,
+)
+from phdtrack.filters.extract import Components, KMeans, Mixture
 from phdtrack.metrics.matching import cheapest
 from phdtrack.metrics.tgospa import TGospaParts, tgospa
+from phdtrack.models.gaussian import Transform
 from phdtrack.protocols import Extractor, Filter, Model
 from phdtrack.types import F8, I8, Estimates
 
@@ -49,6 +61,32 @@ PLAIN_PMB = PMB(
     acceleration_factors=(1.0,),
     clutter_decay=0.0,
 )
+# Particles for each target, and for each measurement where targets are born.
+PER_TARGET = 1500
+NEWBORN = 500
+# Runs of the first case, of the others, and in the short form.
+RUNS = 100
+SIDE = 50
+FEW = 2
+
+
+def filters_of(transform: Transform) -> dict[str, Stages]:
+    """The filters of the standard scenarios. Targets that start together lie in one place: without
+    a number a peak counts as often as its mass says.
+    """
+    return {
+        "gm-phd": (GMPHD(1e-5, 2.0, 100, transform=transform), Components(repeat=True)),
+        "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform=transform), Components()),
+        "particle-phd": (ParticlePHD(PER_TARGET), KMeans(min_weight=0.5, merge_iou=1.0)),
+        "particle-cphd": (ParticleCPHD(PER_TARGET), Mixture(merge_iou=1.0)),
+        "mht": (MHT(transform=transform), BestHypothesis()),
+        "pmbm": (PMBM(transform=transform), BestHypothesis(smoothed=True)),
+        # Of points p_D is constant, and nothing fires in one place.
+        "pmb": (
+            dataclasses.replace(PLAIN_PMB, transform=transform),
+            BestBernoullis(merge_iou=0.5),
+        ),
+    }
 
 
 @dataclass(frozen=True, slots=True)

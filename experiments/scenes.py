@@ -7,9 +7,10 @@ testing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -40,6 +41,7 @@ from experiments.m09_scenes import (
 )
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
+from phdtrack.protocols import AnyStages
 
 # Rendered scenes are long: one seed, with intervals over quarters of the frames.
 SEEDS = 3
@@ -52,15 +54,19 @@ SCORES = ("MODA", "MODP", "MOTA", "MOTP")
 FINDINGS = (("A2", "A1"), ("A5", "A4"), (GM, "A2"), ("A6", GM))
 
 
+L = TypeVar("L")
+"""The type of a learned scene."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class SceneResults:
+class SceneResults(Generic[L]):
     """All runs; ``scenes`` by name, the ``learned`` densities of each for each seed, seconds per
     frame by scene.
     """
 
     scenes: Mapping[str, Halves]
     runs_: Mapping[SceneRun, SceneScores]
-    learned: Mapping[tuple[str, int], LearnedScene]
+    learned: Mapping[tuple[str, int], L]
     timings: Mapping[str, tuple[float, float, float]]
 
     def seeds(self, scene: str) -> int:
@@ -137,14 +143,11 @@ def short_of(scene: Halves) -> int:
     return QUARTER if scene.frames > 4 * QUARTER else 0
 
 
-def runs_of(scenes: Mapping[str, Halves], seeds: Mapping[str, int], quick: bool) -> list[SceneRun]:
+def runs_of(
+    scenes: Mapping[str, Halves], learned: Mapping[tuple[str, int], LearnedScene], quick: bool
+) -> list[SceneRun]:
     """All runs, each once."""
-    runs = [
-        SceneRun(name, seed, run)
-        for name in scenes
-        for seed in range(1, seeds[name] + 1)
-        for run in RUNS
-    ]
+    runs = [SceneRun(name, seed, run) for name, seed in learned for run in RUNS]
     for name, scene in scenes.items():
         few = short_of(scene)
         runs += [SceneRun(name, 1, run, frames=few) for run in (UM, GM)]
@@ -155,38 +158,59 @@ def runs_of(scenes: Mapping[str, Halves], seeds: Mapping[str, int], quick: bool)
     return list(dict.fromkeys(runs))
 
 
-def main(options: Options) -> Path:
-    """Run everything and write scenes.md and its pictures."""
+@dataclass(frozen=True, slots=True)
+class Study(Generic[L]):
+    """The learning and the runs of an experiment.
+
+    Attributes
+    ----------
+    label : the name of the experiment, for progress.
+    learn : learns a scene with a seed.
+    runs_of : all runs, from the scenes, the learned scenes and True for the short form.
+    stages_of : the stages of a run.
+    work : the scores of a run.
+    """
+
+    label: str
+    learn: Callable[[tuple[Halves, int]], L]
+    runs_of: Callable[[Mapping[str, Halves], Mapping[tuple[str, int], L], bool], list[SceneRun]]
+    stages_of: Callable[[SceneRun, Halves, L], AnyStages]
+    work: Callable[[tuple[SceneRun, Halves, L]], SceneScores]
+
+
+def results(study: Study[L], options: Options) -> SceneResults[L]:
+    """Learn every scene and do all runs."""
     names = RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
+    label = study.label
     quick = options.quick
     scene_jobs = [(name, SHORT if quick else FRAMES) for name in names]
-    scenes = dict(
-        zip(
-            names,
-            in_parallel(halves, scene_jobs, "scenes, rendering and detecting", options),
-            strict=True,
-        )
-    )
+    found = in_parallel(halves, scene_jobs, f"{label}, rendering and detecting", options)
+    scenes = dict(zip(names, found, strict=True))
     seeds = {name: options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) for name in names}
     lessons = [(name, seed) for name in names for seed in range(1, seeds[name] + 1)]
     lesson_jobs = [(scenes[name], seed) for name, seed in lessons]
-    learned = dict(
-        zip(lessons, in_parallel(learn, lesson_jobs, "scenes, learning", options), strict=True)
-    )
-    runs = runs_of(scenes, seeds, quick)
+    found_lessons = in_parallel(study.learn, lesson_jobs, f"{label}, learning", options)
+    learned = dict(zip(lessons, found_lessons, strict=True))
+    runs = study.runs_of(scenes, learned, quick)
     jobs = [(run, scenes[run.scene], learned[run.scene, run.seed]) for run in runs]
-    scored = dict(zip(runs, in_parallel(work, jobs, "scenes", options), strict=True))
+    scored = dict(zip(runs, in_parallel(study.work, jobs, label, options), strict=True))
     # One at a time, without other runs of this command.
     timings = {}
     for name in (name for name in (RENDERED[0], REAL[0]) if name in names):
         both = [
-            stages_of(SceneRun(name, 1, run), scenes[name], learned[name, 1]) for run in (UM, GM)
+            study.stages_of(SceneRun(name, 1, run), scenes[name], learned[name, 1])
+            for run in (UM, GM)
         ]
         timings[name] = (
             *seconds_per_frame(both, scenes[name].test, 400 if quick else 1000),
             detector_seconds(scenes[name]),
         )
-    found = SceneResults(scenes, scored, learned, timings)
+    return SceneResults(scenes, scored, learned, timings)
+
+
+def main(options: Options) -> Path:
+    """Run everything and write scenes.md and its pictures."""
+    found = results(Study("scenes", learn, runs_of, stages_of, work), options)
     draw(found, options.folder)
     return write("scenes", options, **figures(found))
 
@@ -221,9 +245,9 @@ def figures(found: SceneResults) -> dict[str, object]:
     """The values of the page's placeholders."""
     return {
         "seeds": max(found.seeds(name) for name in found.scenes),
-        "findings": _findings(found),
-        "gains": _gains(found),
-        "scores": _scores(found),
+        "findings": findings(found),
+        "gains": gains(found, found.groups(), RUNS),
+        "scores": scores(found, RUNS),
         "delays": _delays(found),
         "sweep": _sweep(found),
         "rates": times(found.timings),
@@ -236,7 +260,7 @@ def number(value: float) -> str:
     return f"{value:.1f}" if np.isfinite(value) else "–"
 
 
-def _findings(found: SceneResults) -> str:
+def findings(found: SceneResults) -> str:
     """MOTA of one run minus that of another, scene by scene."""
     rows = [
         (
@@ -251,7 +275,8 @@ def _findings(found: SceneResults) -> str:
     return table(("scene", *(f"{a} less {b}" for a, b in FINDINGS)), rows)
 
 
-def _gains(found: SceneResults) -> str:
+def gains(found: SceneResults, groups: Mapping[str, Sequence[str]], runs: Sequence[str]) -> str:
+    """Scores of the runs less those of the uniform model, for each group of scenes."""
     rows = [
         (
             group,
@@ -259,8 +284,8 @@ def _gains(found: SceneResults) -> str:
             *(with_interval(found.gain(some, run, score), sign="+") for score in SCORES),
             with_interval(found.gain(some, run, "false_tracks"), 0, "+"),
         )
-        for group, some in found.groups().items()
-        for run in RUNS
+        for group, some in groups.items()
+        for run in runs
         if run != UM
     ]
     return table(
@@ -268,11 +293,12 @@ def _gains(found: SceneResults) -> str:
     )
 
 
-def _scores(found: SceneResults) -> str:
+def scores(found: SceneResults, runs: Sequence[str]) -> str:
+    """The scores and errors of the runs, scene by scene."""
     keys = ("misses", "false_positives", "id_switches", "false_tracks")
     rows = []
     for scene in found.scenes:
-        for run in RUNS:
+        for run in runs:
             counts = (round(found.mean(scene, run, key)) for key in keys)
             rows.append((scene, run, *(found.mean(scene, run, score) for score in SCORES), *counts))
     header = ("scene", "run", *SCORES, "misses", "false boxes", "switches", "false tracks")

@@ -13,37 +13,30 @@ import numpy as np
 
 from experiments.common import Options, filled
 from experiments.scans import (
+    FEW,
+    NEWBORN,
+    PER_TARGET,
     PLAIN_PMB,
+    RUNS,
+    SIDE,
     FilterRun,
     Realisation,
     SetErrors,
     Stages,
     compared,
     curves,
+    filters_of,
     followed,
     measured,
     tables,
 )
 from experiments.standard_scenes import LinearGaussian, linear_gaussian
-from phdtrack.filters import (
-    GMCPHD,
-    GMPHD,
-    MHT,
-    PMBM,
-    BestBernoullis,
-    BestHypothesis,
-    ParticleCPHD,
-    ParticlePHD,
-)
-from phdtrack.filters.extract import Components, KMeans, Mixture
+from phdtrack.filters import GMPHD, BestBernoullis
+from phdtrack.filters.extract import Components
 from phdtrack.models import FixedBirth, PlaneBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
-# Runs of the first case, of the others, and in the short form.
-RUNS = 100
-SIDE = 50
-FEW = 2
 # Clutter points per scan, and p_D.
 CASES = {
     "λ 30, p_D 0.98": (30.0, 0.98),
@@ -58,20 +51,8 @@ ELSEWHERE = {
     (HIDDEN, "gm-phd"): "41.7",
     (EASY, "gm-cphd"): "about 16.2",
 }
-PER_TARGET = 1500
-NEWBORN = 500
 AGILITY = "pmb, agility found"
-# Targets that start together have the same position: without a distribution of the number, a peak
-# counts as often as its mass implies.
-FILTERS: dict[str, Stages] = {
-    "gm-phd": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
-    "gm-cphd": (GMCPHD(1e-5, 2.0, 100), Components()),
-    "particle-phd": (ParticlePHD(PER_TARGET), KMeans(min_weight=0.5, merge_iou=1.0)),
-    "particle-cphd": (ParticleCPHD(PER_TARGET), Mixture(merge_iou=1.0)),
-    "mht": (MHT(), BestHypothesis()),
-    "pmbm": (PMBM(), BestHypothesis(smoothed=True)),
-    # p_D of points is constant, and there is no static clutter.
-    "pmb": (PLAIN_PMB, BestBernoullis(merge_iou=0.5)),
+FILTERS: dict[str, Stages] = filters_of("linear") | {
     "gm-phd, anywhere": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
     AGILITY: (
         replace(PLAIN_PMB, acceleration_factors=(1.0, 0.3, 0.1)),
