@@ -158,7 +158,6 @@ def test_report_of_any_run_is_well_formed(
 def test_filter_without_mass_has_a_report() -> None:
     record = run_record(4, 1)
     record.mass[:] = np.nan
-    record.clutter_mass[:] = np.nan
     record.log_evidence[:] = np.nan
     source = report_html(replace(record, whole=record.whole._replace(false_alarms=0.0)), {})
     Page(source)

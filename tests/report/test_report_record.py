@@ -30,7 +30,7 @@ def test_record_has_the_numbers_of_every_frame() -> None:
     np.testing.assert_allclose(record.times, [0.1, 0.2, 0.3, 0.4, 0.5])
     np.testing.assert_array_equal(record.n_detections, [1, 2, 3, 3, 3])
     np.testing.assert_allclose(record.mass, 0.8 * record.n_detections)
-    np.testing.assert_allclose(record.clutter_mass, 0.2 * record.n_detections)
+    assert record.whole.false_alarms == pytest.approx(0.2 * record.n_detections.sum())
     np.testing.assert_allclose(record.seconds[1], [1.0, 0.004, 0.002, 0.001])
     np.testing.assert_array_equal(record.truth_count, [1, 1, 0, 0, 0])  # distractors do not count
 

@@ -103,7 +103,6 @@ class RunRecord:
     n_detections : (F,) number of detections.
     mass : (F,) expected number of objects, the integral of the intensity; NaN if the filter has
         none.
-    clutter_mass : (F,) expected number of false alarms, the sum of κ/(κ + C) over the detections.
     count_range : (F, 2) 90 % interval of the filter's number of objects; NaN in frames without a
         distribution, (0, 2) if no frame has one.
     seconds : (F, S) time of each of the `STAGES`.
@@ -122,7 +121,6 @@ class RunRecord:
     times: F8
     n_detections: I8
     mass: F8
-    clutter_mass: F8
     count_range: F8
     seconds: F8
     truth_count: I8
@@ -224,7 +222,7 @@ class Recorder:
         whole = self._whole
         false = float(info.clutter_probability.sum())
         tracks = int(step.tracks.confirmed.sum())
-        row = (step.number, step.time, len(step.detections), info.mass, false, info.log_evidence)
+        row = (step.number, step.time, len(step.detections), info.mass, info.log_evidence)
         self._rows.append(
             (*row, *_likely_range(info.cardinality), tracks, detect_seconds, *step.seconds)
         )
@@ -251,16 +249,16 @@ class Recorder:
         """The record so far, with the corrected tracks of all frames that are kept; more frames
         may follow.
         """
-        table = np.array(self._rows, dtype=np.float64).reshape(-1, 9 + len(STAGES))
+        table = np.array(self._rows, dtype=np.float64).reshape(-1, 8 + len(STAGES))
         numbers = table[:, 0].astype(np.int64)
-        ranges = table[:, 6:8]
+        ranges = table[:, 5:7]
         if not np.isfinite(ranges).any():
             ranges = ranges[:0]
         truth_count = np.zeros(0, np.int64)
         if self._truth is not None:
             truth_count = _count(self._truth.frame[~self._truth.distractor], numbers)
         whole = self._whole
-        track_count = table[:, 8].astype(np.int64)
+        track_count = table[:, 7].astype(np.int64)
         if not self._endless:
             whole = whole.with_rows(tracks)
             track_count = _count(tracks.frame, numbers)
@@ -272,12 +270,11 @@ class Recorder:
             times=table[:, 1],
             n_detections=table[:, 2].astype(np.int64),
             mass=table[:, 3],
-            clutter_mass=table[:, 4],
             count_range=ranges,
-            seconds=table[:, 9:],
+            seconds=table[:, 8:],
             truth_count=truth_count,
             background=self._hidden(self._picture, tracks.xyxy[tracks.frame == self._pictured]),
-            log_evidence=table[:, 5],
+            log_evidence=table[:, 4],
             whole=whole,
             track_count=track_count,
         )
