@@ -128,7 +128,14 @@ WRITTEN = {
 COMMANDS = {
     "track": ("track", "walk.mp4", "--detections", "det.txt"),
     "groups": ("groups", "walk.mp4", "--detections", "det.txt", "--camera", "camera.txt"),
-    "learn": ("learn", "walk.mp4", "--detections", "still.txt"),
+    "learn": (
+        "learn",
+        "walk.mp4",
+        "--detections",
+        "still.txt",
+        "--labels",
+        "walk.labels.sqlite",
+    ),
 }
 
 

@@ -202,23 +202,6 @@ def test_marks_go_to_other_tools_and_come_back(sequence, monkeypatch):
         assert words in done.err
 
 
-def test_labels_beside_the_video_are_gone_on_with(sequence):
-    page = Started(
-        "street",
-        "--detections",
-        "det.txt",
-        "--labels",
-        "street.labels.sqlite",
-        "--no-suggest",
-        cwd=sequence,
-    )
-    page.leave()
-    again = Started("street", "--detections", "det.txt", "--no-suggest", cwd=sequence)
-    again.leave()
-    assert "kept in street.labels.sqlite" in again.told
-    assert not (sequence / "runs").exists()
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

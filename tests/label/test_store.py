@@ -69,14 +69,6 @@ def test_done_frames_are_undone_and_redone_with_their_marks(store):
     assert (store.progress().done, store.labels()) == (0, [])
 
 
-def test_a_frame_that_was_done_in_an_earlier_file_is_done(store):
-    with closing(sqlite3.connect(store.path)) as db, db:
-        db.execute("UPDATE frame SET done = 1 WHERE number = 20")
-    assert store.frames() == [(30, False), (10, False), (20, True)]
-    store.finish(20, done=False)
-    assert store.progress().done == 0
-
-
 def test_a_reopened_store_keeps_labels_and_adds_frames(store, tmp_path):
     store.mark(10, false(10, 1))
     store.finish(10)
@@ -141,19 +133,11 @@ def test_where_people_disagree_each_is_named_with_the_last_mark(store):
     assert len(store.disputes()) == 2
 
 
-def test_a_file_of_an_earlier_version_is_gone_on_with(store, tmp_path):
-    store.mark(10, false(10, 1), who="ann")
+def test_a_file_of_another_format_is_refused(store):
     with closing(sqlite3.connect(store.path)) as db, db:
-        db.executescript("DROP TABLE place; UPDATE about SET value = '1' WHERE name = 'format'")
-    again = LabelStore.open(tmp_path / "labels.sqlite", "street.mp4", "abc", [])
-    assert again.labels() == false(10, 1)
-    again.mark(10, [Label(10, DRAWN, "true", PLACE)])
-    # Earlier versions do not know what was drawn, and are told so by the number.
-    with closing(sqlite3.connect(store.path)) as db, db:
-        assert db.execute("SELECT value FROM about WHERE name = 'format'").fetchall() == [("2",)]
         db.execute("UPDATE about SET value = '3' WHERE name = 'format'")
     with pytest.raises(InputError, match="format 2, got '3'"):
-        LabelStore.open(tmp_path / "labels.sqlite", "street.mp4", "abc", [])
+        LabelStore.open(store.path, "street.mp4", "abc", [])
 
 
 @pytest.mark.parametrize(

@@ -79,10 +79,7 @@ _FILTERS = "pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, pm
 Filter = Annotated[str, option("NAME", _FILTERS, "--filter", autocompletion=listed(_FILTERS))]
 SceneFile = Annotated[Path | None, option("FILE", "Scene file that `phdtrack learn` wrote.")]
 TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score against.")]
-_MARKED = (
-    "File of the marks of `phdtrack label`; default: runs/NAME.labels.sqlite, or one next to the"
-    " video."
-)
+_MARKED = "File of the marks of `phdtrack label`; default: runs/NAME.labels.sqlite."
 Labels = Annotated[Path | None, option("FILE", _MARKED)]
 Config = Annotated[
     Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")

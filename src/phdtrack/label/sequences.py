@@ -253,14 +253,11 @@ def suggestions(
 
 def labels_file(source: SourceRequest) -> Path:
     """The file of labels for a source: among the runs, so that nothing is written into an archive
-    of videos. One beside the video, where earlier versions kept it, is used if it exists.
+    of videos.
     """
     path = Path(source.source) if source.source else source.detections
     if path is None:
         cure = "Name a video, or say --detections FILE"
         raise InputError("nothing to label", where="SOURCE", cure=cure)
     name = path.stem if path.is_file() else path.name
-    beside = path.with_name(f"{name}.labels.sqlite")
-    if beside.exists():
-        return beside
-    return _RUNS / beside.name
+    return _RUNS / f"{name}.labels.sqlite"

@@ -34,7 +34,6 @@ DRAWN = 1_000_000_000
 missed.
 """
 FORMAT = "2"
-_EARLIER = "1"
 NO_OBJECT = 0.3
 """Overlap (IoU) with every object below which a box is on no object."""
 # Largest coordinate of a place in pixels.
@@ -46,7 +45,7 @@ _TABLES = """
 PRAGMA journal_mode = WAL;
 CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE IF NOT EXISTS frame (
-    number INTEGER PRIMARY KEY, place INTEGER NOT NULL, done INTEGER NOT NULL DEFAULT 0
+    number INTEGER PRIMARY KEY, place INTEGER NOT NULL
 ) STRICT;
 CREATE TABLE IF NOT EXISTS action (
     id INTEGER PRIMARY KEY AUTOINCREMENT, frame INTEGER NOT NULL, who TEXT NOT NULL,
@@ -65,14 +64,13 @@ CREATE TABLE IF NOT EXISTS place (
 CREATE TABLE IF NOT EXISTS request (key TEXT PRIMARY KEY) STRICT;
 CREATE INDEX IF NOT EXISTS mark_by_box ON mark (frame, box, action);
 """
-# The box number of a mark that says if its frame is done; older files have that beside the frame's
-# number only.
+# The box number of a mark that says if its frame is done.
 _FRAME = -1
 _FRAMES = f"""
 SELECT number, coalesce((
     SELECT m.mark = 'done' FROM mark m JOIN action a ON a.id = m.action
     WHERE a.undone = 0 AND m.frame = number AND m.box = {_FRAME} ORDER BY a.id DESC LIMIT 1
-), done) FROM frame ORDER BY place
+), 0) FROM frame ORDER BY place
 """
 # The actions on a frame by one person, and those without a name.
 _OWN = "frame = ? AND who IN (?, '')"
@@ -155,7 +153,7 @@ class LabelStore:
             with store._connection() as db, db:
                 db.executescript(_TABLES)
                 known = about | dict(db.execute("SELECT name, value FROM about"))
-                if known["format"] not in (FORMAT, _EARLIER):
+                if known["format"] != FORMAT:
                     raise InputError(
                         f"expected labels of format {FORMAT}, got {known['format']!r}", where=path
                     )
@@ -169,10 +167,7 @@ class LabelStore:
                         where=path,
                         cure="Give another --labels file, or the detections of then",
                     )
-                db.executemany(
-                    "INSERT OR REPLACE INTO about VALUES (?, ?)",
-                    (known | {"format": FORMAT}).items(),
-                )
+                db.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", known.items())
                 place = "(SELECT coalesce(max(place) + 1, 0) FROM frame)"
                 rows = [(int(number),) for number in frames]
                 db.executemany(

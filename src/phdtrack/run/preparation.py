@@ -246,13 +246,10 @@ def is_complete(prepared: PreparedRun, directory: RunDirectory) -> bool:
     options = prepared.options
     before = rundir.document_of(directory)
     now: dict[str, Any] = {"seed": options.about.seed, "configuration": options.configuration}
-    # What only one of them has differs, too; earlier versions wrote paths as they were given.
+    # What only one of them has differs, too.
     was = before.get("input", {})
-    paths = {
-        name: absolute(was[name]) for name in ("source", "detections", "mask") if was.get(name)
-    }
     every: dict[str, object] = dict.fromkeys((*was, *options.read))
-    before["input"] = every | was | paths
+    before["input"] = every | was
     now["input"] = every | dict(options.read)
     if names := _differing(before, json_value(now)):
         problem = f"the run is complete, and differs in {', '.join(names)}"

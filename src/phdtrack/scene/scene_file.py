@@ -156,7 +156,7 @@ def _learned(document: Any, dim: int) -> LearnedDensity | None:
 
 
 def _followed(document: Any) -> TrackedObjects | None:
-    """The part ``followed`` in JSON; None if it is missing, as in older files."""
+    """The part ``followed`` in JSON; None without it."""
     objects = None
     if document is not None:
         objects = _learned(document["objects"], 4)
