@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack import pipeline
-from phdtrack.detect.convert import MAX_CLASSES, LeftOut, Limits
+from phdtrack.detect.convert import MAX_CLASSES, DiscardedBoxes, Limits
 from phdtrack.kernels.grid import uncrowded
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
@@ -143,7 +143,7 @@ class ClassSettings:
 
     def within_limits(
         self, detections: Detections, known: Collection[int] = ()
-    ) -> tuple[Detections, LeftOut]:
+    ) -> tuple[Detections, DiscardedBoxes]:
         """The detections that are tracked, and how many others there are.
 
         Parameters

@@ -23,8 +23,8 @@ from phdtrack.types import (
     F8,
     STILL,
     Detections,
+    DividedDetections,
     Estimates,
-    Explanation,
     Step,
     Tracks,
     UpdateInfo,
@@ -114,12 +114,12 @@ def advance(
         model = stages.detection_scores.model(state.detection_scores, model)
     intervals, dt = _interval(stages, state, time, model)
     began = clock.perf_counter()
-    targets, explanation, z = _explained(stages, state, measured, z, model, dt)
+    targets, divided, z = _explained(stages, state, measured, z, model, dt)
     usable = np.asarray(np.isfinite(z).all(axis=0))
     if not usable.all():
-        explanation = explanation.select(usable)
+        divided = divided.select(usable)
         z = np.ascontiguousarray(z[:, usable])
-    measured = explanation.detections
+    measured = divided.detections
 
     # Predict and update
     if detections.observed:
@@ -137,7 +137,7 @@ def advance(
     # Extract
     estimates = stages.extractor.extract(intensity, z, model)
     if stages.explainer:
-        targets = stages.explainer.advance(targets, explanation, estimates, model, dt)
+        targets = stages.explainer.advance(targets, divided, estimates, model, dt)
     extracted = clock.perf_counter()
 
     # Associate
@@ -158,7 +158,7 @@ def advance(
         number,
         time,
         detections,
-        explanation.in_frame(info),
+        divided.in_frame(info),
         estimates.in_rows(measured.row),
         tracks,
         (updated - began, extracted - updated, clock.perf_counter() - extracted),
@@ -189,16 +189,14 @@ def advance(
 
 def _explained(
     stages: AnyStages, state: TrackingState, detections: Detections, z: F8, model: Model, dt: float
-) -> tuple[Any, Explanation, F8]:
+) -> tuple[Any, DividedDetections, F8]:
     """The expected targets, the detections that the filter gets, and their measurements."""
     if stages.explainer is None:
-        return None, Explanation.unchanged(detections), z
-    targets, explanation = stages.explainer.explain(
-        state.expected_targets, detections, z, model, dt
-    )
-    if explanation.changed:
-        z = model.sensor.measure(explanation.detections)
-    return targets, explanation, z
+        return None, DividedDetections.unchanged(detections), z
+    targets, divided = stages.explainer.explain(state.expected_targets, detections, z, model, dt)
+    if divided.changed:
+        z = model.sensor.measure(divided.detections)
+    return targets, divided, z
 
 
 def _interval(

@@ -26,8 +26,8 @@ from phdtrack.types import (
     F8,
     STILL,
     Detections,
+    DividedDetections,
     Estimates,
-    Explanation,
     MeasurementHistory,
     Particles,
     Step,
@@ -378,10 +378,10 @@ class Explainer(Protocol[C]):
     Parameters
     ----------
     state : after the frame before; for `advance` the one that `explain` gave.
-    explanation : of this frame.
+    divided : the detections of this frame that `explain` gave.
     detections, z : of the frame, and their (m, N) measurements.
     model, dt : of the frame, and the interval since the one before in the model's time unit.
-    estimates : the states, each of which rests on one of the explanation's detections.
+    estimates : the states, each of which rests on one of the divided detections.
     """
 
     def start(self) -> C:
@@ -389,11 +389,11 @@ class Explainer(Protocol[C]):
 
     def explain(
         self, state: C, detections: Detections, z: F8, model: Model, dt: float
-    ) -> tuple[C, Explanation]:
+    ) -> tuple[C, DividedDetections]:
         """The state for `advance`, and the detections that the filter is to be given of a frame."""
 
     def advance(
-        self, state: C, explanation: Explanation, estimates: Estimates, model: Model, dt: float
+        self, state: C, divided: DividedDetections, estimates: Estimates, model: Model, dt: float
     ) -> C:
         """The state after a frame, with the filter's estimates."""
 

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
 from phdtrack.associate.history import HISTORY
-from phdtrack.detect.convert import LeftOut, as_detections, doubtful
+from phdtrack.detect.convert import DiscardedBoxes, as_detections, unit_warning
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
 from phdtrack.multiclass import ClassPipelines, ClassSettings
@@ -113,10 +113,10 @@ class Tracker:
         """
         self._pipelines = ClassPipelines(self.classes, self.seed)
         self._step: Step | None = None
-        self._left_out = LeftOut()
+        self._left_out = DiscardedBoxes()
         self._begun = math.nan
         self._first = 0
-        self._doubted = False
+        self._warned_of_units = False
         self.sequences += 1
 
     def update(
@@ -180,16 +180,16 @@ class Tracker:
             return number, _number(timestamp, f"frame {number}, update(timestamp=…)")
         return number, last.time + (number - (last.number or 1)) / self.fps
 
-    def _warn(self, number: int, time: float, found: Detections, left_out: LeftOut) -> None:
-        """Warn of what is new in a frame: boxes left out, doubtful units, forgotten frames."""
+    def _warn(self, number: int, time: float, found: Detections, left_out: DiscardedBoxes) -> None:
+        """Warn of what is new in a frame: boxes left out, implausible units, forgotten frames."""
         # Boxes of classes that were not selected are left out as asked.
         for sentence in left_out.sentences(self._left_out._replace(unwanted=1)):
             _LOG.warning("frame %d: %s", number, sentence)
-        if not self._doubted:
-            doubt = doubtful(found, self.classes.limits.frame_size)
-            self._doubted = bool(doubt)
-            if doubt:
-                _LOG.warning("frame %d: %s", number, doubt)
+        if not self._warned_of_units:
+            warning = unit_warning(found, self.classes.limits.frame_size)
+            self._warned_of_units = bool(warning)
+            if warning:
+                _LOG.warning("frame %d: %s", number, warning)
         self._warn_of_forgetting(number, time)
 
     def warm_up(self) -> None:
@@ -248,7 +248,7 @@ class Tracker:
             )
 
     @property
-    def left_out(self) -> LeftOut:
+    def left_out(self) -> DiscardedBoxes:
         """How many boxes were left out, and why."""
         return self._left_out
 
@@ -340,7 +340,9 @@ class Tracker:
         state = from_bytes(saved["state"], where)
         pipelines = ClassPipelines(self.classes, self.seed)
         pipelines.restore(state["whole"], state["pipelines"], where)
-        left_out: LeftOut = unpack(state["left_out"], LeftOut, where=f"{where}, left_out")
+        left_out: DiscardedBoxes = unpack(
+            state["left_out"], DiscardedBoxes, where=f"{where}, left_out"
+        )
         self._pipelines = pipelines
         self._step = None
         self._left_out = left_out

@@ -353,7 +353,7 @@ def false_alarm_share(clutter: F8, evidence: F8) -> F8:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Explanation:
+class DividedDetections:
     """The detections that the filter gets in place of a frame's N: merged measurements divided,
     fragments united, and without those that show no possible state.
 
@@ -373,15 +373,15 @@ class Explanation:
     changed: bool = False
 
     @classmethod
-    def unchanged(cls, detections: Detections) -> Explanation:
+    def unchanged(cls, detections: Detections) -> DividedDetections:
         """The detections as they were, assigned to no target."""
         same = np.arange(len(detections))
         return cls(detections, same, same, np.full(len(same), -1))
 
-    def select(self, usable: Bool) -> Explanation:
-        """The explanation without the detections that are not ``usable`` (N′,)."""
+    def select(self, usable: Bool) -> DividedDetections:
+        """The same without the detections that are not ``usable`` (N′,)."""
         number = np.where(usable, np.cumsum(usable) - 1, -1)
-        return Explanation(
+        return DividedDetections(
             self.detections.select(usable),
             self.source[usable],
             number[self.part],

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from phdtrack import Tracker, pipeline
 from phdtrack.config import load
-from phdtrack.detect.convert import LeftOut, Limits
+from phdtrack.detect.convert import DiscardedBoxes, Limits
 from phdtrack.errors import InputError
 from phdtrack.filters import hypotheses
 from phdtrack.filters.mcmc import rivals
@@ -59,7 +59,7 @@ def test_ten_thousand_detections_in_one_place_are_as_few(
         assert len(many.step.detections) == 25
         assert many.step.info.mass == few.step.info.mass
         assert len(many.state.intensity) == len(few.state.intensity)
-    assert many.left_out == LeftOut(crowded=4 * 9_975)
+    assert many.left_out == DiscardedBoxes(crowded=4 * 9_975)
     said = [record.getMessage() for record in caplog.records if record.name == "phdtrack.tracker"]
     assert said == ["frame 1: 9975 boxes left out: more in one place than limits.max_in_one_place"]
 
@@ -162,7 +162,7 @@ def test_boxes_that_no_picture_shows_are_left_out_and_said_once(
         assert other.step is not None
         assert other.step.info.mass == plain.step.info.mass
         assert np.isfinite(rows.xyxy).all()
-    assert other.left_out == LeftOut(misplaced=5 * len(odd))
+    assert other.left_out == DiscardedBoxes(misplaced=5 * len(odd))
     assert (
         sum(
             "a side below 0.001 pixels or above 10 frames" in one.getMessage()
@@ -246,6 +246,6 @@ def test_new_classes_share_one_replay_of_empty_frames(monkeypatch: pytest.Monkey
         many.update(boxes)
     # 21 frames for all of them, then a step of each.
     assert len(done) == 21 + 100
-    assert many.left_out == LeftOut(classes=201)
+    assert many.left_out == DiscardedBoxes(classes=201)
     alone.update(boxes[:1])
     assert many.states[10].number == alone.states[10].number == 22

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phdtrack.detect.convert import as_detections, doubtful
+from phdtrack.detect.convert import as_detections, unit_warning
 from phdtrack.errors import InputError
 from phdtrack.types import Detections
 
@@ -85,15 +85,15 @@ def test_ultralytics_result(wrapped: Any) -> None:
     ],
 )
 def test_boxes_outside_the_frame_are_reported(box: list[float], words: str) -> None:
-    assert doubtful(as_detections([[100, 100, 120, 140], box]), (640, 480)).startswith(words)
-    assert doubtful(as_detections([[100, 100, 120, 140], box]), (0, 0)) == ""
+    assert unit_warning(as_detections([[100, 100, 120, 140], box]), (640, 480)).startswith(words)
+    assert unit_warning(as_detections([[100, 100, 120, 140], box]), (0, 0)) == ""
 
 
 def test_boxes_in_shares_of_the_frame_are_reported() -> None:
-    assert "not in shares of its size" in doubtful(
+    assert "not in shares of its size" in unit_warning(
         as_detections([[0.1, 0.2, 0.3, 0.9]]), (640, 480)
     )
-    assert doubtful(as_detections([]), (640, 480)) == ""
+    assert unit_warning(as_detections([]), (640, 480)) == ""
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phdtrack.detect.components import BlobSettings, Heights
+from phdtrack.detect.components import ConnectedComponents, Heights
 from phdtrack.detect.convert import as_detections
 from phdtrack.types import Image
 
@@ -40,7 +40,7 @@ def test_any_mask_gives_valid_boxes(
     mask = mask_of(*drawn)
     mask[np.random.default_rng(seed).random(SHAPE) < salt] = 255
     before = mask.copy()
-    found = as_detections(BlobSettings(peel=peel).detections(mask))
+    found = as_detections(ConnectedComponents(peel=peel).detections(mask))
     if len(found):
         assert found.xyxy.min() >= 0
         assert (found.xyxy.max(axis=0) <= [SHAPE[1], SHAPE[0]] * 2).all()
@@ -49,34 +49,34 @@ def test_any_mask_gives_valid_boxes(
 
 @pytest.mark.parametrize("peel", [0.0, 0.002, 0.01])
 def test_rectangle_gives_its_box(peel: float) -> None:
-    found = BlobSettings(peel=peel).detections(mask_of((40, 30, 64, 90)))
+    found = ConnectedComponents(peel=peel).detections(mask_of((40, 30, 64, 90)))
     np.testing.assert_allclose(found.xyxy, [[40, 30, 64, 90]], atol=1)
 
 
 def test_specks_and_bridges_are_removed_and_gaps_closed() -> None:
-    assert len(BlobSettings().detections(mask_of((10, 10, 12, 12), (90, 90, 93, 92)))) == 0
+    assert len(ConnectedComponents().detections(mask_of((10, 10, 12, 12), (90, 90, 93, 92)))) == 0
     bridged = mask_of((20, 20, 40, 60), (60, 20, 80, 60), (40, 39, 60, 41))
-    assert len(BlobSettings(split=0).detections(bridged)) == 2
+    assert len(ConnectedComponents(split=0).detections(bridged)) == 2
     gap = mask_of((20, 20, 40, 50), (20, 52, 40, 90))
-    assert len(BlobSettings(join=0).detections(gap)) == 1
+    assert len(ConnectedComponents(join=0).detections(gap)) == 1
 
 
 def test_three_neighbours_are_split_but_a_wide_object_is_not() -> None:
     mask = np.zeros(SHAPE, np.uint8)
     for x in (40, 62, 84):
         cv2.ellipse(mask, (x, 70), (13, 40), 0, 0, 360, 255, -1)
-    assert len(BlobSettings().detections(mask)) == 3
-    assert len(BlobSettings(split=0).detections(mask)) == 1
-    assert len(BlobSettings().detections(mask_of((30, 60, 130, 100)))) == 1
+    assert len(ConnectedComponents().detections(mask)) == 3
+    assert len(ConnectedComponents(split=0).detections(mask)) == 1
+    assert len(ConnectedComponents().detections(mask_of((30, 60, 130, 100)))) == 1
 
 
 def test_object_behind_another_is_not_joined() -> None:
     fragments = mask_of((60, 20, 92, 60), (60, 68, 92, 110))
-    assert len(BlobSettings(join=0.15).detections(fragments)) == 1
+    assert len(ConnectedComponents(join=0.15).detections(fragments)) == 1
     slender = mask_of((60, 10, 76, 66), (60, 74, 76, 134))
-    assert len(BlobSettings(join=0.15).detections(slender)) == 2
+    assert len(ConnectedComponents(join=0.15).detections(slender)) == 2
     beside = mask_of((40, 20, 60, 60), (70, 20, 90, 60))
-    assert len(BlobSettings(join=0.15).detections(beside)) == 2
+    assert len(ConnectedComponents(join=0.15).detections(beside)) == 2
 
 
 def boxes_on_the_ground(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -109,7 +109,7 @@ def test_heights_are_learned_from_components(rng: np.random.Generator) -> None:
 
 
 def test_known_heights_prevent_joining_two_objects() -> None:
-    contours = BlobSettings().components(mask_of((60, 20, 92, 60), (60, 68, 92, 110)))
-    assert len(BlobSettings().boxes(contours, (144, 192))) == 1
-    assert len(BlobSettings().boxes(contours, (144, 192), Heights(np.log(90.0), 0.0))) == 1
-    assert len(BlobSettings().boxes(contours, (144, 192), Heights(np.log(45.0), 0.0))) == 2
+    contours = ConnectedComponents().components(mask_of((60, 20, 92, 60), (60, 68, 92, 110)))
+    assert len(ConnectedComponents().boxes(contours, (144, 192))) == 1
+    assert len(ConnectedComponents().boxes(contours, (144, 192), Heights(np.log(90.0), 0.0))) == 1
+    assert len(ConnectedComponents().boxes(contours, (144, 192), Heights(np.log(45.0), 0.0))) == 2

@@ -17,7 +17,7 @@ from phdtrack.detect.merged import ExpectedTargets, MergedMeasurements
 from phdtrack.errors import InputError
 from phdtrack.protocols import Model
 from phdtrack.tracker import Tracker
-from phdtrack.types import F8, Detections, DetectionTable, Explanation, SequenceInfo, Tracks
+from phdtrack.types import F8, Detections, DetectionTable, DividedDetections, SequenceInfo, Tracks
 
 INFO = SequenceInfo(640, 480, 25.0)
 MODEL: Model = config.build(config.load(), INFO).model
@@ -34,7 +34,7 @@ def expected(boxes: F8, **given: F8) -> ExpectedTargets:
 
 def explain(
     targets: ExpectedTargets, blobs: F8, rule: MergedMeasurements = ALWAYS
-) -> tuple[ExpectedTargets, Explanation]:
+) -> tuple[ExpectedTargets, DividedDetections]:
     seen = Detections.of(blobs)
     return rule.explain(targets, seen, MODEL.sensor.measure(seen), MODEL, 1.0)
 

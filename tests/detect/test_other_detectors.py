@@ -131,7 +131,7 @@ def test_every_detector_accepts_its_parameters(name: str) -> None:
         ("change", {"adapt": -1.0}, "adapt: expected a value above 0, got -1"),
         ("mog2", {"warmup": -1.0}, "warmup: expected a value at least 0"),
         ("face", {"step": 1.2}, "no parameter 'step'"),
-        ("mog2", {"split": 1.5}, "BlobSettings.split: expected"),
+        ("mog2", {"split": 1.5}, "ConnectedComponents.split: expected"),
         ("change", {"window": "5"}, "window: expected a whole number, got '5'"),
         ("mean-background", {"signed": 1}, "signed: expected true or false, got 1"),
         ("person", {"scale": True}, "scale: expected a number, got True"),

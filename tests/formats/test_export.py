@@ -21,7 +21,7 @@ from phdtrack.formats import (
     read_tracks_named,
     read_truth,
 )
-from phdtrack.formats.checks import WrongRows
+from phdtrack.formats.checks import MalformedRows
 from phdtrack.types import SequenceInfo, Tracks
 
 FULL = ("csv", "parquet", "jsonl", "coco")
@@ -115,7 +115,7 @@ def test_json_lines_of_other_programs(tmp_path: Path) -> None:
     assert found.detections.xyxy.tolist() == [[1, 2, 4, 6]] * 2
     path.write_text(json.dumps(rows[0]) + "\n\n" + json.dumps({"frame_id": 2, "bbox": [1]}) + "\n")
     refused(read_detections, path, ", line 3", "expected four numbers for bbox")
-    left = WrongRows()
+    left = MalformedRows()
     assert len(read_detections(path, left_out=left)) == 1
     assert left.rows == 1
     path.write_text(json.dumps(rows[0]) + "\n{\n")

@@ -13,7 +13,7 @@ from format_cases import put
 from phdtrack.detect.table_detector import frames_walked
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks, read_truth
-from phdtrack.formats.checks import WrongRows
+from phdtrack.formats.checks import MalformedRows
 from phdtrack.types import Detections, DetectionTable
 
 MOT = [f"{k},-1,{10 * k},20,30,60,0.5" for k in range(1, 6)]
@@ -46,7 +46,7 @@ def test_malformed_text_rows_are_errors_or_skipped(
     with pytest.raises(InputError, match=words) as caught:
         read_detections(path)
     assert caught.value.where.startswith(f"{path}, line {at + 1}")
-    left_out = WrongRows()
+    left_out = MalformedRows()
     table = read_detections(path, left_out=left_out)
     without = read_detections(put(tmp_path, "\n".join([*rows[:at], *rows[at + 1 :]]), "good.txt"))
     assert table.frame.tolist() == without.frame.tolist()
@@ -59,7 +59,7 @@ def test_malformed_text_rows_are_errors_or_skipped(
 
 def test_first_malformed_row_is_named_and_all_counted(tmp_path: Path) -> None:
     rows = [*MOT[:1], "2,-1,5,5,-5,5,1", "2,-1,x,5,5,5,1", MOT[2], "3,-1,5,5,-5,5,1"]
-    left_out = WrongRows()
+    left_out = MalformedRows()
     assert len(read_detections(put(tmp_path, "\n".join(rows)), left_out=left_out)) == 2
     assert left_out.rows == 3
     assert ", line 2: expected a width" in str(left_out.first)
@@ -78,7 +78,7 @@ def test_malformed_json_entries_are_errors_or_skipped(tmp_path: Path) -> None:
     path = put(tmp_path, json.dumps(entries), "boxes.json")
     with pytest.raises(InputError, match="four numbers for bbox"):
         read_detections(path)
-    left_out = WrongRows()
+    left_out = MalformedRows()
     assert read_detections(path, left_out=left_out).frame.tolist() == [1, 2, 3, 4]
     assert left_out.rows == 3
     assert left_out.first is not None
@@ -88,7 +88,7 @@ def test_malformed_json_entries_are_errors_or_skipped(tmp_path: Path) -> None:
 def test_file_without_a_valid_row_is_refused(tmp_path: Path) -> None:
     for content in ("1,-1,5,5,-5,5,1\n", "1,-1,a,5,5,5,1\n2,-1,b,5,5,5,1\n"):
         with pytest.raises(InputError, match="line 1"):
-            read_detections(put(tmp_path, content), left_out=WrongRows())
+            read_detections(put(tmp_path, content), left_out=MalformedRows())
 
 
 def test_frame_number_beyond_the_last_is_refused(tmp_path: Path) -> None:

@@ -42,7 +42,13 @@ import numpy as np
 from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
-from phdtrack.detect.components import BlobSettings, Component, Contour, Heights, check_same_size
+from phdtrack.detect.components import (
+    Component,
+    ConnectedComponents,
+    Contour,
+    Heights,
+    check_same_size,
+)
 from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
 from phdtrack.detect.scene_samples import MAX_NOISE, logarithmic, sample_history, scene_noise
 from phdtrack.devices import planes_of, size_of
@@ -121,7 +127,7 @@ class ChangeDetector:
     samples: PositiveCount = 15
     adapt: Positive = 10.0
     adapt_objects: Positive = 120.0
-    blobs: BlobSettings = field(default_factory=BlobSettings)
+    blobs: ConnectedComponents = field(default_factory=ConnectedComponents)
 
     def __post_init__(self) -> None:
         check(self)

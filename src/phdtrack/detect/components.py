@@ -122,7 +122,7 @@ def _alone(boxes: F8, shape: tuple[int, ...]) -> Bool:
 
 
 @dataclass(frozen=True, slots=True)
-class BlobSettings(Checked):
+class ConnectedComponents(Checked):
     """Turns a foreground mask into boxes.
 
     Attributes

@@ -108,7 +108,7 @@ def _columns(table: F8, where: str) -> tuple[F8, F8 | None, F8 | None]:
     return table[:, :4], score, label
 
 
-class LeftOut(NamedTuple):
+class DiscardedBoxes(NamedTuple):
     """Numbers of boxes that are left out, by reason: impossible, unwanted, or too many.
 
     Attributes
@@ -128,13 +128,13 @@ class LeftOut(NamedTuple):
     crowded: int = 0
     surplus: int = 0
 
-    def with_more(self, other: LeftOut) -> LeftOut:
+    def with_more(self, other: DiscardedBoxes) -> DiscardedBoxes:
         """The sum of both."""
-        return LeftOut(*(a + b for a, b in zip(self, other, strict=True)))
+        return DiscardedBoxes(*(a + b for a, b in zip(self, other, strict=True)))
 
-    def sentences(self, known: LeftOut | None = None) -> Iterator[str]:
+    def sentences(self, known: DiscardedBoxes | None = None) -> Iterator[str]:
         """Yield a sentence for each reason, except those that are ``known`` already."""
-        for count, reason, before in zip(self, _REASONS, known or LeftOut(), strict=True):
+        for count, reason, before in zip(self, _REASONS, known or DiscardedBoxes(), strict=True):
             if count and not before:
                 boxes = "box" if count == 1 else "boxes"
                 yield f"{count} {boxes} left out: {reason}"
@@ -169,7 +169,7 @@ class Limits(Checked):
     max_in_one_place: PositiveCount = 25
     frame_size: tuple[float, float] = (0.0, 0.0)
 
-    def plausible(self, found: Detections) -> tuple[I8, LeftOut]:
+    def plausible(self, found: Detections) -> tuple[I8, DiscardedBoxes]:
         """(k,) rows of boxes with plausible size and place, and the numbers of the others."""
         low = found.xyxy[:, :2]
         high = found.xyxy[:, 2:]
@@ -182,7 +182,7 @@ class Limits(Checked):
         sized = (sides > 0).all(axis=1)
         possible = (sides >= _MIN_SIDE) & (sides <= _MAX_FRAMES * frame)
         near = (possible & (away <= (_MAX_FRAMES + 0.5) * frame)).all(axis=1)
-        return np.flatnonzero(near), LeftOut(int((~sized).sum()), int((sized & ~near).sum()))
+        return np.flatnonzero(near), DiscardedBoxes(int((~sized).sum()), int((sized & ~near).sum()))
 
     def best(self, confidence: F8) -> I8:
         """(k,) rows of the best of boxes with these scores (N,), ascending."""
@@ -191,7 +191,7 @@ class Limits(Checked):
         return np.sort(np.argsort(-confidence, kind="stable")[: self.max_detections])
 
 
-def doubtful(found: Detections, size: tuple[float, float]) -> str:
+def unit_warning(found: Detections, size: tuple[float, float]) -> str:
     """A sentence if the boxes of a frame of known size seem to have the wrong units; else empty."""
     if not len(found) or min(size) <= 0:
         return ""
@@ -261,7 +261,7 @@ def _check_units(table: DetectionTable, info: SequenceInfo, path: Path) -> None:
     left, top, right, bottom = table.detections.xyxy.T
     if table.detections.xyxy.max() <= _MAX_SHARE < min(info.width, info.height):
         raise InputError(
-            doubtful(table.detections, (info.width, info.height)),
+            unit_warning(table.detections, (info.width, info.height)),
             where=path,
             cure="Multiply them by the frame's width and height.",
         )

@@ -8,7 +8,7 @@ from typing import Any
 
 from phdtrack.detect.base import Detector
 from phdtrack.detect.change import ChangeDetector
-from phdtrack.detect.components import BlobSettings
+from phdtrack.detect.components import ConnectedComponents
 from phdtrack.detect.mean_background import MeanBackgroundDetector
 from phdtrack.detect.onnx import OnnxDetector
 from phdtrack.detect.opencv import FaceDetector, Mog2Detector, PersonDetector
@@ -70,7 +70,7 @@ def detector_parameters(name: str) -> dict[str, Any]:
         raise InputError(f"there is no detector {name!r}", cure=cure)
     known = {field.name: field.default for field in fields(_BUILD[name])}
     if known.pop("blobs", None):
-        known |= {field.name: field.default for field in fields(BlobSettings)}
+        known |= {field.name: field.default for field in fields(ConnectedComponents)}
     return known
 
 
@@ -89,7 +89,7 @@ def make_detector(
     max_width : above 0, wider frames are shrunk to this many pixels for detection; boxes stay in
         pixels of the original frame.
     mask : (H, W) array or image file; only boxes at least half inside its region are reported.
-    parameters : fields of the detector, and of `BlobSettings` for those that clean a mask.
+    parameters : fields of the detector, and of `ConnectedComponents` for those that clean a mask.
 
     Returns
     -------
@@ -108,10 +108,10 @@ def make_detector(
             raise InputError(
                 f"detector {name!r} has no parameter {key!r}", cure=did_you_mean(key, known)
             )
-        target = blobs if key in BlobSettings.__dataclass_fields__ else own
+        target = blobs if key in ConnectedComponents.__dataclass_fields__ else own
         target[key] = _converted(key, value, type(known[key]))
     if blobs:
-        own["blobs"] = BlobSettings(**blobs)
+        own["blobs"] = ConnectedComponents(**blobs)
     if name.startswith(_NETWORK):
         own["file"] = name.removeprefix(_NETWORK)
     detector: Detector = _BUILD.get(name, OnnxDetector)(**own)

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from phdtrack.detect.components import BlobSettings, check_same_size
+from phdtrack.detect.components import ConnectedComponents, check_same_size
 from phdtrack.errors import NonNegative, Positive, PositiveCount, check
 from phdtrack.types import F4, Detections, Frame
 
@@ -34,7 +34,7 @@ class MeanBackgroundDetector:
     signed: bool = False
     smooth: NonNegative = 1.5
     threshold: Positive = 20.0
-    blobs: BlobSettings = field(default_factory=BlobSettings)
+    blobs: ConnectedComponents = field(default_factory=ConnectedComponents)
 
     def __post_init__(self) -> None:
         check(self)

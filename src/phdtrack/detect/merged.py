@@ -24,7 +24,7 @@ import numpy as np
 from phdtrack.errors import Checked, NonNegative, Probability
 from phdtrack.kernels.merged import MAX_EXISTENCE, Lives, Rule, continued, explained
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Bool, Detections, Estimates, Explanation
+from phdtrack.types import F8, I8, Bool, Detections, DividedDetections, Estimates
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,11 +100,11 @@ class MergedMeasurements(Checked):
 
     def explain(
         self, state: ExpectedTargets, detections: Detections, z: F8, model: Model, dt: float
-    ) -> tuple[ExpectedTargets, Explanation]:
+    ) -> tuple[ExpectedTargets, DividedDetections]:
         """Predict the targets, and divide merged detections among them for the filter."""
         targets = _predicted(state, model, dt)
         if not (detections.observed and len(targets) and len(detections)):
-            return targets, Explanation.unchanged(detections)
+            return targets, DividedDetections.unchanged(detections)
         sensor = model.sensor
         x = targets.state
         known = np.isfinite(z).all(axis=0)
@@ -129,15 +129,15 @@ class MergedMeasurements(Checked):
         )
         targets = ExpectedTargets(x, targets.covariance, targets.existence, hidden, separate)
         if len(source) == len(detections):
-            return targets, Explanation(detections, source, part, target)
-        return targets, Explanation(
+            return targets, DividedDetections(detections, source, part, target)
+        return targets, DividedDetections(
             replace(detections.select(source), xyxy=xyxy), source, part, target, changed=True
         )
 
     def advance(
         self,
         state: ExpectedTargets,
-        explanation: Explanation,
+        divided: DividedDetections,
         estimates: Estimates,
         model: Model,
         dt: float,
@@ -146,7 +146,7 @@ class MergedMeasurements(Checked):
 
         A missed target keeps the probability r ← r (1 − p_D)/(1 − r p_D).
         """
-        if not explanation.detections.observed:
+        if not divided.detections.observed:
             return state
         x = np.ascontiguousarray(estimates.state)
         covariance = estimates.covariance
@@ -155,7 +155,7 @@ class MergedMeasurements(Checked):
         if not len(state):
             return ExpectedTargets(x, covariance, weight, np.zeros(k), np.zeros(k))
         hidden, separate, missed_existence, missed_hidden, remains = continued(
-            (explanation.target, estimates.detection, x),
+            (divided.target, estimates.detection, x),
             state.state,
             state.covariance,
             model.sensor.noise(state.state),

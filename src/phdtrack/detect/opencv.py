@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from phdtrack.detect.components import BlobSettings, check_same_size
+from phdtrack.detect.components import ConnectedComponents, check_same_size
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.types import Detections, Frame, Image
 
@@ -54,7 +54,7 @@ class Mog2Detector:
     adapt: Positive = 20.0
     threshold: Positive = 16.0
     warmup: NonNegative = 0.5
-    blobs: BlobSettings = field(default_factory=BlobSettings)
+    blobs: ConnectedComponents = field(default_factory=ConnectedComponents)
 
     def __post_init__(self) -> None:
         check(self)

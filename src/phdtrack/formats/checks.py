@@ -47,7 +47,7 @@ class Rule(NamedTuple):
 
 
 @dataclass(slots=True)
-class WrongRows:
+class MalformedRows:
     """The malformed rows of a file that were skipped: how many ``rows``, and the ``first`` error,
     which stands at ``place`` in the file.
     """

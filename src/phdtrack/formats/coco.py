@@ -17,7 +17,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import read_json
-from phdtrack.formats.checks import Origin, WrongRows
+from phdtrack.formats.checks import MalformedRows, Origin
 from phdtrack.formats.json_entry import Entry, brief, entry_of
 from phdtrack.formats.table import LTWH, Column, Kind, Source, Table
 
@@ -52,7 +52,7 @@ class CocoFile(NamedTuple):
     names: dict[int, str]
 
 
-def read_coco(path: Path, content: bytes, left_out: WrongRows | None = None) -> CocoFile:
+def read_coco(path: Path, content: bytes, left_out: MalformedRows | None = None) -> CocoFile:
     """Parse a COCO file. Raises `InputError` if it does not have COCO's form; malformed annotations
     are added to ``left_out``, or are errors without it.
 

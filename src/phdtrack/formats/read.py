@@ -18,9 +18,9 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import (
+    MalformedRows,
     Origin,
     Rule,
-    WrongRows,
     after_last_frame,
     earlier_duplicate,
     enforce,
@@ -39,7 +39,7 @@ NO_ROWS = Table(Origin(Path(), "line", np.zeros(0, np.int64)), 1, {}, np.zeros((
 
 
 def read_detections(
-    path: AnyPath, *, first_frame: int | None = None, left_out: WrongRows | None = None
+    path: AnyPath, *, first_frame: int | None = None, left_out: MalformedRows | None = None
 ) -> DetectionTable:
     """Read the detections in a MOTChallenge ``det.txt``, KITTI, CSV, Parquet, JSON, CVML or CVAT
     file, sorted by frame.
@@ -60,7 +60,7 @@ def read_detections(
     return detections_of(table, left_out)
 
 
-def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionTable:
+def detections_of(table: Table, left_out: MalformedRows | None = None) -> DetectionTable:
     """The detections in a table, sorted by frame. Malformed rows are added to ``left_out``; without
     it, the first one raises `InputError`.
     """
@@ -171,7 +171,7 @@ def table_of(
     kind: Kind,
     first_frame: int | None,
     kitti: str = "",
-    left_out: WrongRows | None = None,
+    left_out: MalformedRows | None = None,
 ) -> Table:
     """The rows of a file, not checked yet. Raises `InputError` if the file is missing or cannot be
     parsed.

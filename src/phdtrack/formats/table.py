@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError, needed
-from phdtrack.formats.checks import Origin, WrongRows
+from phdtrack.formats.checks import MalformedRows, Origin
 from phdtrack.formats.text import Text, is_number, normalise, numbers
 from phdtrack.types import F8, I8, Bool
 
@@ -127,7 +127,7 @@ class Source(NamedTuple):
     content: bytes
     kind: Kind
     first: int
-    left_out: WrongRows | None = None
+    left_out: MalformedRows | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -339,7 +339,7 @@ def _place_of_words(text: Text, layout: _Layout) -> int:
 
 
 def _number_classes(
-    text: Text, layout: _Layout, left_out: WrongRows | None
+    text: Text, layout: _Layout, left_out: MalformedRows | None
 ) -> tuple[Text, dict[int, str]]:
     """Replace classes that are words by numbers: the table, and the words by number."""
     place = _place_of_words(text, layout)

@@ -21,7 +21,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
-from phdtrack.formats.checks import Origin, WrongRows
+from phdtrack.formats.checks import MalformedRows, Origin
 from phdtrack.types import F8
 
 
@@ -59,7 +59,7 @@ class Text:
         origin = replace(self.origin, number=self.origin.number[np.array(rows, np.int64)])
         return replace(self, origin=origin, lines=[self.lines[row] for row in rows])
 
-    def readable(self, columns: Mapping[int, str], wrong: WrongRows) -> Text:
+    def readable(self, columns: Mapping[int, str], wrong: MalformedRows) -> Text:
         """The lines that have numbers in the ``columns`` (see `numbers`); the others are added to
         ``wrong``.
         """

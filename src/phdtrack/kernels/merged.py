@@ -85,7 +85,7 @@ def explained(
     rule: Rule,
     seconds: float,
 ) -> Parts:
-    """The boxes (N′, 4) for the filter, ``source``, ``part`` and ``target`` of an `Explanation`,
+    """The boxes (N′, 4) for the filter, ``source``, ``part`` and ``target`` of `DividedDetections`,
     and the seconds (n,) for which each target has been hidden and has had a blob to itself.
 
     ``possible`` (N,): true for blobs that show a possible state; κ of others is not read.

@@ -20,7 +20,7 @@ from phdtrack.devices import size_of
 from phdtrack.errors import InputError
 from phdtrack.files import write_text
 from phdtrack.formats import read_detections
-from phdtrack.formats.checks import WrongRows
+from phdtrack.formats.checks import MalformedRows
 from phdtrack.label.samples import LONGEST
 from phdtrack.label.suggestions import Evidence, Suggestion, suggest
 from phdtrack.multiclass import ClassSettings
@@ -88,7 +88,7 @@ def open_sequence(
         _RUNS.mkdir(exist_ok=True)
     wrong = None
     if source.on_error != "stop":
-        wrong = WrongRows()
+        wrong = MalformedRows()
     path = source.detections
     if path is None:
         path = _kept_detections(source, parameters, labels, inputs, reporter)

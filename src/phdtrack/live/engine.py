@@ -16,7 +16,7 @@ import numpy as np
 
 from phdtrack.arrays import pixelated
 from phdtrack.detect.base import Detector
-from phdtrack.detect.convert import LeftOut
+from phdtrack.detect.convert import DiscardedBoxes
 from phdtrack.errors import InputError, shown
 from phdtrack.groups.group_stages import GroupStages, OnlineGroups
 from phdtrack.live.checkpoint import (
@@ -340,10 +340,10 @@ class Camera:
         ]
 
     @property
-    def left_out(self) -> LeftOut:
+    def left_out(self) -> DiscardedBoxes:
         """How many boxes were left out, and why."""
         if self.running is None:
-            return LeftOut()
+            return DiscardedBoxes()
         return self.running.tracker.left_out
 
     def latency(self) -> tuple[float, float]:

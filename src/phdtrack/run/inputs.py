@@ -25,7 +25,7 @@ from phdtrack.detect.table_detector import frames_walked
 from phdtrack.errors import InputError, shown
 from phdtrack.files import return_memory
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
-from phdtrack.formats.checks import WrongRows
+from phdtrack.formats.checks import MalformedRows
 from phdtrack.run.camera_input import open_camera
 from phdtrack.run.camera_motion import Mover
 from phdtrack.run.loop import NO_PICTURE, DetectedFrame, detect_frames
@@ -241,7 +241,7 @@ def _open_table(request: SourceRequest, path: Path, last: int, part: FrameRange)
     refuse(unused, problem, "--detections")
     wrong = None
     if request.on_error != "stop":
-        wrong = WrongRows()
+        wrong = MalformedRows()
     table = read_detections(path, left_out=wrong)
     if request.source:
         frames = _frames(request, part)
