@@ -98,6 +98,10 @@ from phdtrack.models.gaussian import (
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
+# The probability that a target stands still when it is first detected, and the seconds for which,
+# on average, it then does.
+STANDING = 0.1
+MEAN_STANDING_TIME = 3.0
 # Frames after which what a score has said of lasting clutter counts for 37 %.
 SCORE_MEMORY = 15.0
 
@@ -259,8 +263,10 @@ class PMB(Checked, Filter[Bernoullis]):
         noise = model.sensor.noise(np.ascontiguousarray(mean.T))
         freedom = self.noise_freedom, math.exp(-1 / self.noise_memory)
         genuine = self._prior, math.exp(-1 / SCORE_MEMORY)
+        seconds = dt / model.rate
+        depart = -math.expm1(-seconds / MEAN_STANDING_TIME)
         layer = predicted_layer(
-            now, after, noise, *self._changes(dt / model.rate), freedom, genuine
+            now, after, noise, *self._changes(seconds), depart, freedom, genuine
         )
         unseen = survived(state.undetected, model, dt, self.transform)
         return Bernoullis(
@@ -365,16 +371,21 @@ class PMB(Checked, Filter[Bernoullis]):
 
     def _settings(self, gate: float, dt: float, lasting: bool) -> Settings:
         """The settings of the kernel. If scores tell ``lasting`` false alarms, none is static."""
-        static = 0.0
-        if not lasting:
-            static = self.static_clutter_prior / max(dt, 1.0)
+        clutter = self.static_clutter_prior
+        standing = (1 - clutter) * STANDING
+        prior = 0.0
+        genuine = CERTAIN
+        if clutter > 0 and not lasting:
+            prior = clutter + standing
+            genuine = math.log(standing / clutter) if standing else -CERTAIN
         return Settings(
             self.existence_threshold,
             self.hypothesis_threshold,
             float(self.max_hypotheses),
             self.merge_distance,
             gate,
-            static,
+            prior,
+            genuine,
             self.static_clutter_detection_probability,
             self.noise_freedom,
             len(self.acceleration_factors),

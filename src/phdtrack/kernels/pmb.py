@@ -22,6 +22,7 @@ measurement (P).
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,15 +59,13 @@ CONFIRMED = 0.05
 # it better and better.
 STATIC_SHARE = 0.5
 
-# A target: the probabilities that it exists, and that it does and is not static clutter (its
-# presence), and the greatest presence that it ever had; its label, rising, from 0, unique; its
-# hypotheses begin … end − 1, and the heaviest of them that is not static, −1 where there is none.
+# A target: the probabilities that it exists, and that it does and is no clutter (its presence), and the greatest presence that it ever had; its label, rising, from 0, unique; its
+# hypotheses begin … end − 1, and the heaviest of them that moves, −1 where there is none.
 TARGET = records("r presence max_presence", "label begin end best")
 # A hypothesis: its weight, which sum to one for each target; the probability that the target cannot
-# be detected at present; the log odds that it is genuine, and no lasting false alarm; its target;
-# the measurement of the frame that it took, −1 for none; its hypothesis in the frame before, −1
-# where the target begins; whether it is a source of static clutter: it stays where it is, and is no
-# target. How many times the model's the variances of its noises are, of the first two components of
+# be detected at present; the log odds that it is genuine, and no static or lasting clutter; its
+# target; the measurement of the frame that it took, −1 for none; its hypothesis in the frame before,
+# −1 where the target begins; whether it stands still, as static clutter does and some targets. How many times the model's the variances of its noises are, of the first two components of
 # a measurement and of two others, and the degrees of freedom of that; which of the factors its
 # acceleration has.
 HYPOTHESIS = records(
@@ -103,7 +102,8 @@ class Scores(NamedTuple):
 
 class Settings(NamedTuple):
     """The settings of `filters.PMB` that an update needs; ``gate`` in deviations,
-    ``merge_distance`` 0 to merge nothing.
+    ``merge_distance`` 0 to merge nothing. ``standing_prior``: the probability that what is first
+    detected stands still; ``standing_genuine``: the log odds that it is then a target.
     """
 
     existence_threshold: float
@@ -111,7 +111,8 @@ class Settings(NamedTuple):
     max_hypotheses: float
     merge_distance: float
     gate: float
-    static_clutter_prior: float
+    standing_prior: float
+    standing_genuine: float
     static_detection_probability: float
     noise_freedom: float
     motions: int
@@ -124,15 +125,16 @@ def predicted_layer(
     noise: F8,
     occlude: float,
     reappear: float,
+    depart: float,
     freedom: tuple[float, float],
     genuine: tuple[float, float],
 ) -> Layer:
-    """The targets after an interval, ``p`` their hypotheses after the motion; static clutter stays
-    where it is [PMB (1)].
+    """The targets after an interval, ``p`` their hypotheses after the motion; what stands still
+    stays where it is [PMB (1)].
 
     ``noise`` (d, C): deviations by which the sensor resolves them, `Sensor.noise`. ``occlude``,
     ``reappear``: probabilities that a visible target is occluded after the interval, and an
-    occluded one visible. ``freedom``: the degrees of freedom with which a target's noises begin, 0
+    occluded one visible. ``depart``: that a target that stands still begins to move. ``freedom``: the degrees of freedom with which a target's noises begin, 0
     where they are the model's, and the part of what is known of them that is kept; in place of the
     rest they are the model's again. ``genuine``: the log odds with which a target is genuine before
     its scores are known, and the part kept of the evidence of scores.
@@ -148,7 +150,7 @@ def predicted_layer(
     for t in range(targets.size):
         targets[t] = before[t]
         target = targets[t]
-        stay = presence = 0.0
+        stay = 0.0
         for c in range(target.begin, target.end):
             stay += old[c].weight * p_survive[c]
         target.r *= stay
@@ -171,12 +173,33 @@ def predicted_layer(
                     cov[c, a, a] = cov[c, a, a] if cov[c, a, a] > least else least
             else:
                 copy_gaussian(moved_mean, moved_cov, c, mean, cov, c)
-                h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
                 if h.genuine < prior + PROVED:
                     h.genuine = prior + remembered * (h.genuine - prior)
-                presence += target.r * h.weight * probability(h.genuine)
+            h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
+        _depart(target, hypotheses, depart)
+        presence = 0.0
+        for c in range(target.begin, target.end):
+            presence += target.r * hypotheses[c].weight * probability(hypotheses[c].genuine)
         target.presence = presence
     return Layer(targets, hypotheses, mean, cov)
+
+
+@njit(**INNER)
+def _depart(target: Any, hypotheses: Records, depart: float) -> None:
+    """Of the weight of a target that stands still, move the part of those that begin to move by now
+    to its heaviest hypothesis that moves.
+    """
+    if target.best < 0:
+        return
+    for c in range(target.begin, target.end):
+        h = hypotheses[c]
+        if h.static:
+            genuine = probability(h.genuine)
+            moves = h.weight * genuine * depart
+            hypotheses[target.best].weight += moves
+            h.weight -= moves
+            if genuine < 1.0:
+                h.genuine += math.log1p(-depart)
 
 
 @njit(**ENTRY)
@@ -214,7 +237,7 @@ def updated_layer(
     targets, hypotheses, mean, covariance = layer
     count = len(targets)
     n = len(m.z)
-    p_detect, tails = _detection_terms(hypotheses, e.p_detect, s)
+    p_detect, visible, tails = _detection_terms(hypotheses, e.p_detect, s)
     # Gate
     pairs = gated(
         e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails
@@ -255,7 +278,7 @@ def updated_layer(
     write_posteriors(mean, covariance, e, m, options, out.mean, out.covariance)
     gone = np.empty(count, np.int64)
     t, k, lost, mass = _write_kept(
-        (layer, p_detect), exists, kept, options, scores, s, len(m.period) > 2, out, gone
+        (layer, visible), exists, kept, options, scores, s, len(m.period) > 2, out, gone
     )
     exists[kept > 0] = 0.0
     # Add the new targets
@@ -274,22 +297,27 @@ def updated_layer(
 
 
 @njit(**INNER)
-def _detection_terms(hypotheses: Records, p_detect: F8, s: Settings) -> tuple[F8, F8]:
-    """(C,) p_D of each hypothesis as it is, occluded or static; and (C, 3) what is known of its
-    noises, (0, 3) if they are the model's.
+def _detection_terms(hypotheses: Records, p_detect: F8, s: Settings) -> tuple[F8, F8, F8]:
+    """(C,) p_D of each hypothesis, which may be occluded or static clutter; (C,) p_D of a target
+    that may be occluded; and (C, 3) what is known of its noises, (0, 3) if they are the model's.
 
     ``p_detect`` (C,) is the sensor's.
     """
     own = np.empty(len(hypotheses))
+    visible = np.empty(len(hypotheses))
     tails = np.empty((len(hypotheses) if s.noise_freedom > 0.0 else 0, 3))
     for c in range(len(hypotheses)):
         h = hypotheses[c]
-        own[c] = s.static_detection_probability if h.static else (1.0 - h.occluded) * p_detect[c]
+        visible[c] = (1.0 - h.occluded) * p_detect[c]
+        own[c] = visible[c]
+        if h.static:
+            genuine = probability(h.genuine)
+            own[c] = genuine * visible[c] + (1.0 - genuine) * s.static_detection_probability
         if s.noise_freedom > 0.0:
             tails[c, 0] = h.position_scale
             tails[c, 1] = h.size_scale
             tails[c, 2] = h.freedom
-    return own, tails
+    return own, visible, tails
 
 
 @njit(**INNER)
@@ -317,6 +345,7 @@ def _associate(
     hypotheses = before[1]
     first = np.empty(clutter.size)
     genuine = probability(scores.prior)
+    static = s.standing_prior * (1.0 - probability(s.standing_genuine))
     for j in range(clutter.size):
         first[j] = density[j] * (1.0 + genuine * (scores.odds[j] - 1.0))
         evidence[j] = clutter[j] + first[j]
@@ -329,15 +358,14 @@ def _associate(
         alone = alone if alone > TINY else TINY
         p_target = first[j] / alone
         r_new[j] = p_new[j] * p_target
-        p_real = (1.0 - s.static_clutter_prior) * probability(after_score(scores.prior, scores, j))
+        p_real = (1.0 - static) * probability(after_score(scores.prior, scores, j))
         born += p_new[j] * p_target * p_real
         false_alarm[j] = p_new[j] * (clutter[j] / alone + p_target * (1.0 - p_real))
         if r_new[j] < s.existence_threshold and r_new[j] < 0.5 * p_target:
             r_new[j] = 0.0
         started += r_new[j] > 0.0
     for q in range(pairs.size):
-        h = hypotheses[pairs[q].gaussian]
-        share = 1.0 if h.static else 1.0 - probability(h.genuine)
+        share = 1.0 - probability(hypotheses[pairs[q].gaussian].genuine)
         false_alarm[pairs[q].measurement] += pairs[q].weight * share
     for j in range(clutter.size):
         if evidence[j] == 0.0:
@@ -469,8 +497,45 @@ def _choose(
             if weight >= least and weight > 0.0:
                 end = _sorted_in(options, (k, end), (c, -1), (weight, 0.0, 0.0))
         kept[t] = end - k if end - k < s.max_hypotheses else int(s.max_hypotheses)
+        kept[t] = _with_moving(target, hypotheses, pairs[begun:q], options, k, int(kept[t]))
         k += kept[t]
     return k
+
+
+@njit(**INNER)
+def _with_moving(
+    target: Any, hypotheses: Records, pairs: Records, options: Records, begin: int, count: int
+) -> int:
+    """How many options a target keeps, if one of them has to move, as what stands still may go.
+
+    ``begin`` and ``count``: its options so far. Where all of them stand, the heaviest that moves is
+    added: with one of ``pairs``, its measurements.
+    """
+    for i in range(begin, begin + count):
+        if not hypotheses[options[i].gaussian].static:
+            return count
+    best = -1
+    for q in range(pairs.size):
+        if not hypotheses[pairs[q].gaussian].static and (
+            best < 0 or pairs[q].weight > pairs[best].weight
+        ):
+            best = q
+    option = options[begin + count]
+    if best >= 0 and pairs[best].weight > 0.0:
+        option.gaussian = pairs[best].gaussian
+        option.measurement = pairs[best].measurement
+        option.weight = pairs[best].weight
+        option.distance2 = pairs[best].distance2
+        option.first = pairs[best].first
+        return count + 1
+    if target.best < 0:
+        return count
+    option.gaussian = target.best
+    option.measurement = -1
+    option.weight = TINY
+    option.distance2 = 0.0
+    option.first = 0.0
+    return count + 1
 
 
 @njit(**INNER)
@@ -527,8 +592,13 @@ def after_score(genuine: float, scores: Scores, j: int) -> float:
     log_odds = scores.log_odds[j]
     if genuine >= scores.prior + PROVED and log_odds < 0.0:
         return genuine
-    after = genuine + log_odds
-    return LIMIT if after > LIMIT else -LIMIT if after < -LIMIT else after
+    return _within(genuine + log_odds)
+
+
+@njit(**INNER)
+def _within(log_odds: float) -> float:
+    """Log odds of evidence that may change again, at most `LIMIT` in size."""
+    return LIMIT if log_odds > LIMIT else -LIMIT if log_odds < -LIMIT else log_odds
 
 
 @njit(**INNER)
@@ -564,7 +634,7 @@ def _write_kept(
     """Write the targets that are kept into the first places of ``out``; how many targets and
     hypotheses there are.
 
-    ``before`` are the predicted targets, with the p_D of their hypotheses; ``out`` has the
+    ``before`` are the predicted targets, with the p_D of each as a target; ``out`` has the
     Gaussians of the options with a measurement. Hypotheses within `Settings.merge_distance` of a
     heavier one are counted as that one. ``sizes``: measurements have four components; of two the
     noise of all is theirs. The others are as of `_choose`. Of deleted targets that were once
@@ -572,7 +642,7 @@ def _write_kept(
     how many these are, and the mass of the targets.
     """
     targets, hypotheses, mean, cov = out
-    (old_targets, old, old_mean, old_cov), p_detect = before
+    (old_targets, old, old_mean, old_cov), visible = before
     limit = s.merge_distance * s.merge_distance
     number = 0
     k = 0 * kept.size
@@ -589,7 +659,7 @@ def _write_kept(
             total += options[i].weight
         for i in range(option, end):
             c = options[i].gaussian
-            _write_hypothesis(hypotheses[k], old[c], options[i], p_detect[c], scores, sizes)
+            _write_hypothesis(hypotheses[k], old[c], options[i], visible[c], scores, s, sizes)
             hypotheses[k].target = number
             if options[i].measurement < 0:
                 copy_gaussian(old_mean, old_cov, c, mean, cov, k)
@@ -615,9 +685,12 @@ def _write_kept(
 
 @njit(**INNER)
 def _write_hypothesis(
-    h: Any, before: Any, option: Any, p_detect: float, scores: Scores, sizes: bool
+    h: Any, before: Any, option: Any, visible: float, scores: Scores, s: Settings, sizes: bool
 ) -> None:
-    """Write what becomes of a hypothesis ``before`` with an option, except target and weight."""
+    """Write what becomes of a hypothesis ``before`` with an option, except target and weight.
+
+    ``visible`` is p_D of a target that may be occluded.
+    """
     h.static = before.static
     h.motion = before.motion
     h.parent = before.parent
@@ -628,11 +701,17 @@ def _write_hypothesis(
     h.size_scale = before.size_scale
     h.genuine = before.genuine
     if option.measurement < 0:
-        if not h.static:
-            # Bayes: a miss is certain if the target is occluded.
-            missed = 1.0 - p_detect if 1.0 - p_detect > TINY else TINY
-            h.occluded = before.occluded / missed if before.occluded < missed else 1.0
+        # Bayes: a miss is certain if the target is occluded.
+        missed = 1.0 - visible if 1.0 - visible > TINY else TINY
+        h.occluded = before.occluded / missed if before.occluded < missed else 1.0
+        if h.static:
+            h.genuine = _within(
+                h.genuine + math.log(missed / (1.0 - s.static_detection_probability))
+            )
         return
+    if h.static:
+        seen = visible if visible > NEVER else NEVER
+        h.genuine = _within(h.genuine + math.log(seen / s.static_detection_probability))
     h.genuine = after_score(h.genuine, scores, option.measurement)
     if h.freedom > 0.0:
         # Two components each, which are two observations of a variance [WH97 §10.8].
@@ -663,10 +742,9 @@ def write_target(
     best = -1
     for c in range(begin, end):
         h = hypotheses[c]
-        if not h.static:
-            total += h.weight * probability(h.genuine)
-            if best < 0 or h.weight > hypotheses[best].weight:
-                best = c
+        total += h.weight * probability(h.genuine)
+        if not h.static and (best < 0 or h.weight > hypotheses[best].weight):
+            best = c
     target.label = label
     target.r = r
     target.begin = begin
@@ -699,7 +777,7 @@ def _write_new(
     """
     targets, hypotheses, mean, cov = out
     new_mean, new_cov = new
-    prior = s.static_clutter_prior
+    prior = s.standing_prior
     for j in range(r_new.size):
         if r_new[j] > 0.0:
             begin = k
@@ -719,7 +797,7 @@ def _write_new(
                 h.target = t
                 h.detection = j
                 h.parent = -1
-                h.genuine = after_score(scores.prior, scores, j)
+                h.genuine = s.standing_genuine if static else after_score(scores.prior, scores, j)
                 copy_gaussian(new_mean, new_cov, j, mean, cov, k)
                 k += 1
             mass += write_target(targets, hypotheses, t, fresh, r_new[j], 0.0, begin, k)
