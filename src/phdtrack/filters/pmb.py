@@ -100,8 +100,12 @@ from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
 # The probability that a target stands still when it is first detected, and the seconds for which,
 # on average, it then does.
-STANDING = 0.1
-MEAN_STANDING_TIME = 3.0
+STANDING = 0.03
+MEAN_STANDING_TIME = 0.5
+# Chances to be detected that the sensor's p_D counts for, and the limits of the p_D learned.
+PRIOR_CHANCES = 30.0
+LEAST_DETECTION = 0.2
+MOST_DETECTION = 0.79
 # Frames after which what a score has said of lasting clutter counts for 37 %.
 SCORE_MEMORY = 15.0
 
@@ -119,6 +123,8 @@ class Bernoullis:
     undetected : intensity of targets that have never been detected, where births are a mixture
         (`filters.undetected`).
     frame : number of the last layer: how many frames have been predicted.
+    detections : how many detections of targets there were, of how many chances, and how many the
+        sensor's p_D expected; old ones are forgotten.
     """
 
     layers: tuple[Layer, ...]
@@ -126,6 +132,7 @@ class Bernoullis:
     next_label: int
     undetected: GaussianMixture
     frame: int = 0
+    detections: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __len__(self) -> int:
         """Number of hypotheses."""
@@ -178,6 +185,8 @@ class PMB(Checked, Filter[Bernoullis]):
     clutter_decay : false alarms are T^−clutter_decay times the model's where the interval T is
         longer than a time unit: of a slow stream's, fewer come again in the next frame. 0: as the
         model says.
+    detection_memory : chances to detect a target after which what they have told of p_D counts for
+        37 %; 0: p_D is the sensor's.
     initial : targets before the first frame; a weight is the probability that there is one.
     """
 
@@ -197,6 +206,7 @@ class PMB(Checked, Filter[Bernoullis]):
     noise_memory: Positive = 4.5
     acceleration_factors: tuple[Positive, ...] = (1.0, 3.1623, 10.0)
     clutter_decay: NonNegative = 0.5
+    detection_memory: NonNegative = 2000.0
     initial: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
@@ -275,6 +285,7 @@ class PMB(Checked, Filter[Bernoullis]):
             state.next_label,
             unseen,
             state.frame + 1,
+            state.detections,
         )
 
     @property
@@ -312,13 +323,14 @@ class PMB(Checked, Filter[Bernoullis]):
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         # Predicted measurements of known targets; first detections λ̂(z) of new ones: PMB (5)
         ahead = predicted_measurements(model.sensor, now.mean, now.covariance, self.transform)
+        ahead = ahead._replace(p_detect=self._with_learned(ahead.p_detect, state.detections))
         births = with_births(state.undetected, model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
         # Gate, associate by belief propagation, update each target: PMB (3), (4), (7) to (10)
         settings = self._settings(gate, dt, scores.prior < CERTAIN)
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some
         # kernels.
-        layer, learned, gone, weak = updated_layer(
+        layer, learned, gone, weak, counted = updated_layer(
             *map(tuple, (now, ahead, seen, new, scores, settings)), state.next_label
         )
         predicted, born, mass, evidence, false_alarm, vanished, detected = learned
@@ -338,8 +350,33 @@ class PMB(Checked, Filter[Bernoullis]):
             next_label,
             undetected,
             state.frame,
+            self._remembered(state.detections, counted),
         )
         return after, info
+
+    def _with_learned(self, p_detect: F8, counted: tuple[float, float, float]) -> F8:
+        """p_D (C,) of the sensor, with its odds as `Bernoullis.detections` say."""
+        hits, chances, expected = counted
+        if not (self.detection_memory and chances > 0):
+            return p_detect
+        usual = min(max(expected / chances, 0.01), 0.99)
+        learned = (PRIOR_CHANCES * usual + hits) / (PRIOR_CHANCES + chances)
+        learned = min(max(learned, LEAST_DETECTION), MOST_DETECTION)
+        ratio = learned / (1 - learned) * (1 - usual) / usual
+        return ratio * p_detect / (1 + (ratio - 1) * p_detect)
+
+    def _remembered(
+        self, before: tuple[float, float, float], counted: tuple[float, float, float]
+    ) -> tuple[float, float, float]:
+        """`Bernoullis.detections` with those of a frame; old ones are forgotten."""
+        if not self.detection_memory:
+            return before
+        kept = max(1 - counted[1] / self.detection_memory, 0.0)
+        return (
+            kept * before[0] + counted[0],
+            kept * before[1] + counted[1],
+            kept * before[2] + counted[2],
+        )
 
     def _clutter(self, model: Model, z: F8, dt: float) -> tuple[F8, Scores]:
         """κ(z) (N,) without scores, and what the scores say of each measurement.

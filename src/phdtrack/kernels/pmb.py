@@ -211,7 +211,9 @@ def updated_layer(
     scores: Scores,
     s: Settings,
     fresh: int,
-) -> tuple[Layer, tuple[float, float, float, F8, F8, int, float], I8, F8]:
+) -> tuple[
+    Layer, tuple[float, float, float, F8, F8, int, float], I8, F8, tuple[float, float, float]
+]:
     """The targets after the measurements, with new ones, and what was learned [W15].
 
     Parameters
@@ -255,6 +257,7 @@ def updated_layer(
         s,
         measured,
     )
+    counted = _detections((targets, hypotheses, p_detect), visible, e.p_detect, pairs, exists)
     evidence, false_alarm, r_new = measured
     predicted = 0.0
     detected = 0.0
@@ -293,7 +296,45 @@ def updated_layer(
         vanished,
         detected,
     )
-    return after, learned, gone[:lost], exists
+    return after, learned, gone[:lost], exists, counted
+
+
+@njit(**INNER)
+def _detections(
+    before: tuple[Records, Records, F8], visible: F8, p_detect: F8, pairs: Records, exists: F8
+) -> tuple[float, float, float]:
+    """Of the targets that move and are not occluded, how many were detected, how many there were,
+    and how many detections the sensor's ``p_detect`` (C,) expects of them.
+
+    ``before``, ``pairs`` and ``exists`` are as of `_associate`, after it. What stands still may be
+    clutter and tells nothing.
+    """
+    targets, hypotheses, own = before
+    hits = 0.0
+    chances = 0.0
+    expected = 0.0
+    for q in range(pairs.size):
+        c = pairs[q].gaussian
+        if not hypotheses[c].static:
+            weight = pairs[q].weight * probability(hypotheses[c].genuine)
+            hits += weight
+            chances += weight
+            expected += weight * p_detect[c]
+    for t in range(targets.size):
+        target = targets[t]
+        unseen = 0.0
+        for c in range(target.begin, target.end):
+            unseen += hypotheses[c].weight * (1.0 - own[c])
+        if unseen > 0.0:
+            for c in range(target.begin, target.end):
+                h = hypotheses[c]
+                if not h.static:
+                    # Missed, and yet not occluded.
+                    missed = h.weight * (visible[c] / p_detect[c] - visible[c])
+                    weight = exists[t] / unseen * missed * probability(h.genuine)
+                    chances += weight
+                    expected += weight * p_detect[c]
+    return hits, chances, expected
 
 
 @njit(**INNER)
