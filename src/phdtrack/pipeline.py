@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Iterable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any
@@ -17,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.models.warp import as_warp
+from phdtrack.models.warp import after as after_warps
+from phdtrack.models.warp import as_warp, back
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import (
     F8,
@@ -41,11 +43,13 @@ class TrackingState:
     ----------
     intensity, association : the filter's and the associator's state.
     number, time : of the last frame; seconds.
+    observed, observed_time : of the last frame that was observed, 0 before there was one.
+    pending : (3, 3) how the camera has moved since then; `types.STILL`: not at all.
     targets : (d, n) the last frame's states, if the sensor asks which targets hide which; empty
         otherwise.
     detection_scores : what scores have taught; None without that stage.
     expected_targets : the targets that merged measurements are divided by; None without that stage.
-    intervals : how many intervals there were, and the sum of the logarithms of their seconds.
+    intervals : how many intervals between observed frames there were, and the sum of the logarithms of their seconds.
     online_boxes : what the boxes of online rows have taught; None if they are the filter's.
     camera : what is known of the camera's motion; None if it is not looked for.
     """
@@ -54,6 +58,9 @@ class TrackingState:
     association: Any
     number: int = 0
     time: float = 0.0
+    observed: int = 0
+    observed_time: float = 0.0
+    pending: F8 = field(default_factory=lambda: STILL)
     targets: F8 = field(default_factory=lambda: NO_STATES)
     detection_scores: Any = None
     expected_targets: Any = None
@@ -103,18 +110,17 @@ def advance(
         camera stands still.
     """
     _check_order(state, number, time)
-    measured = detections
     if not detections.observed:
-        measured = Detections.empty(observed=False)
+        return _unobserved(stages, state, detections, (number, time), rng, warp)
 
     # Measure
-    z = stages.model.sensor.measure(measured)
+    z = stages.model.sensor.measure(detections)
     camera, model = _with_camera_motion(stages, state, z, warp, (number, time))
     if stages.detection_scores:
         model = stages.detection_scores.model(state.detection_scores, model)
     intervals, dt = _interval(stages, state, time, model)
     began = clock.perf_counter()
-    targets, divided, z = _explained(stages, state, measured, z, model, dt)
+    targets, divided, z = _explained(stages, state, detections, z, model, dt)
     usable = np.asarray(np.isfinite(z).all(axis=0))
     if not usable.all():
         divided = divided.select(usable)
@@ -122,16 +128,12 @@ def advance(
     measured = divided.detections
 
     # Predict and update
-    if detections.observed:
-        frame_model = _with_hidden_targets(model, state.targets, dt)
-        if stages.detection_scores:
-            frame_model = stages.detection_scores.with_scores(
-                state.detection_scores, frame_model, measured
-            )
-        intensity, info = stages.filter.step(state.intensity, z, frame_model, dt, rng)
-    else:
-        intensity = stages.filter.predict(state.intensity, model, dt, rng)
-        info = UpdateInfo.without_update(intensity.mass)
+    frame_model = _with_hidden_targets(model, state.targets, dt)
+    if stages.detection_scores:
+        frame_model = stages.detection_scores.with_scores(
+            state.detection_scores, frame_model, measured
+        )
+    intensity, info = stages.filter.step(state.intensity, z, frame_model, dt, rng)
     updated = clock.perf_counter()
 
     # Extract
@@ -163,7 +165,7 @@ def advance(
         tracks,
         (updated - began, extracted - updated, clock.perf_counter() - extracted),
         int(np.count_nonzero(~usable)),
-        model.warp,
+        _since_last(state.pending, model.warp),
     )
 
     # Learn
@@ -177,12 +179,69 @@ def advance(
         association,
         number,
         time,
+        number,
+        time,
+        STILL,
         estimates.state if model.sensor.occlusion else NO_STATES,
         scores,
         targets,
         intervals,
         online_boxes,
         camera,
+    )
+    return after, step
+
+
+def _unobserved(
+    stages: AnyStages,
+    state: TrackingState,
+    detections: Detections,
+    when: tuple[int, float],
+    rng: np.random.Generator,
+    warp: F8,
+) -> tuple[TrackingState, Step]:
+    """The state and the step of a frame in which no detector ran, ``when`` its number and time.
+
+    Its targets are predicted from the last frame that was observed, and are forgotten again: what
+    comes next is the same as if the frame had been left out.
+    """
+    number, time = when
+    nothing = Detections.empty(observed=False)
+    z = stages.model.sensor.measure(nothing)
+    began = clock.perf_counter()
+    _, model = _with_camera_motion(stages, state, z, warp, when)
+    dt = _interval(stages, state, time, model)[1]
+    ahead = stages.filter.predict(state.intensity, model, dt, deepcopy(rng))
+    predicted = clock.perf_counter()
+    estimates = stages.extractor.extract(ahead, z, model)
+    extracted = clock.perf_counter()
+    association = state.association
+    tracks = Tracks.empty()
+    online_boxes = state.online_boxes
+    if state.observed:
+        association, tracks = stages.associator.extend(
+            association, estimates, z, nothing, number, dt, model
+        )
+        if stages.online:
+            online_boxes, tracks = stages.online.shown(online_boxes, tracks)
+    moved = _since_last(state.pending, model.warp)
+    step = Step(
+        number,
+        time,
+        detections,
+        UpdateInfo.without_update(ahead.mass),
+        estimates,
+        tracks,
+        (predicted - began, extracted - predicted, clock.perf_counter() - extracted),
+        warp=moved,
+    )
+    after = replace(
+        state,
+        association=association,
+        number=number,
+        time=time,
+        pending=_joined(_checked_warp(warp, number), state.pending),
+        online_boxes=online_boxes,
     )
     return after, step
 
@@ -202,15 +261,16 @@ def _explained(
 def _interval(
     stages: AnyStages, state: TrackingState, time: float, model: Model
 ) -> tuple[tuple[int, float], float]:
-    """`TrackingState.intervals`, and the interval before this frame in the model's time units.
+    """`TrackingState.intervals`, and the interval since the last observed frame in the model's time
+    units.
 
     Streams of few frames a second show slow things: if the usual interval, the geometric mean, is
     longer than ``Stages.longest_interval``, the filter's time runs slower, so that the usual
     interval is as long as that.
     """
-    if state.number == 0:
+    if state.observed == 0:
         return (0, 0.0), model.first
-    seconds = time - state.time
+    seconds = time - state.observed_time
     count = state.intervals[0] + 1
     logs = state.intervals[1] + math.log(seconds)
     factor = stages.longest_interval / math.exp(logs / count)
@@ -223,21 +283,39 @@ def _interval(
 def _with_camera_motion(
     stages: AnyStages, state: TrackingState, z: F8, warp: F8, when: tuple[int, float]
 ) -> tuple[Any, Model]:
-    """The state of the camera's motion, and the model of the frame with it.
+    """The state of the camera's motion, and the model with that since the last observed frame.
 
     The motion is ``warp``, or what the measurements ``z`` (m, N) show; ``when`` is number and time.
     """
-    if not state.number:
+    if not state.observed:
         return state.camera, stages.model
-    if len(warp):
-        warp = as_warp(warp, f"frame {when[0]}")
+    warp = _joined(_checked_warp(warp, when[0]), state.pending)
     camera = state.camera
     if stages.camera:
-        interval = (when[1] - state.time) * stages.model.rate
+        interval = (when[1] - state.observed_time) * stages.model.rate
         camera, warp = stages.camera.between(camera, z, stages.model, interval, warp)
     if len(warp):
         return camera, replace(stages.model, warp=warp)
     return camera, stages.model
+
+
+def _checked_warp(warp: F8, number: int) -> F8:
+    """The checked motion of the camera since the frame before frame ``number``."""
+    return as_warp(warp, f"frame {number}") if len(warp) else warp
+
+
+def _joined(warp: F8, before: F8) -> F8:
+    """The camera's motion ``warp`` after that ``before``; `types.STILL` is none."""
+    if len(warp) and len(before):
+        return after_warps([before, warp])
+    return warp if len(warp) else before
+
+
+def _since_last(pending: F8, warp: F8) -> F8:
+    """The part of the motion ``warp`` that is not in ``pending``, which came before."""
+    if len(warp) and len(pending):
+        return after_warps([back(pending), warp])
+    return warp
 
 
 def run(

@@ -27,10 +27,12 @@ import numpy as np
 
 from phdtrack.associate.history import (
     HISTORY,
+    NO_LINKS,
     History,
     Moment,
     Path,
     measurements,
+    observed_only,
     open_links,
     rows_of,
 )
@@ -193,24 +195,31 @@ class GraphMatching(Checked):
 
         Raises `InputError` if a position is not finite.
         """
-        before = state.window if state.vertices else empty_window(len(estimates.state))
-        window, final = self._linked(before, estimates, dt, model)
-        time = state.time + dt
-        vertices = state.vertices + len(estimates)
-        history = state.history.append(
-            Moment(
-                number,
-                time,
-                state.vertices,
-                estimates,
-                final,
-                z,
-                detections.row,
-                detections.class_id,
-                detections.confidence,
-                model.warp,
-            )
+        window = state.window if state.vertices else empty_window(len(estimates.state))
+        final = NO_LINKS
+        if detections.observed:
+            window, final = self._linked(window, estimates, dt, model)
+        else:
+            # Its rows continue identities; what is only predicted is linked to nothing.
+            estimates = Estimates.empty(len(estimates.state))
+        moment = Moment(
+            number,
+            state.time + dt,
+            state.vertices,
+            estimates,
+            final,
+            z,
+            detections.row,
+            detections.class_id,
+            detections.confidence,
+            model.warp,
+            detections.observed,
         )
+        history = state.history.followed_by(moment)
+        if history is state.history:
+            return state, Tracks.empty()
+        vertices = state.vertices + len(estimates)
+        time = moment.time if moment.observed else state.time
         extended = GraphState(window, history, state.online, vertices, time)
         due = len(history) - 1 - self.output_delay
         if due < 0:
@@ -240,13 +249,16 @@ class GraphMatching(Checked):
         start = np.concatenate(
             ([0], np.cumsum([len(m.estimates) for m in moments], dtype=np.int64))
         )
+        observed = observed_only(moments)
+        place = np.cumsum([moment.observed for moment in moments]) - 1
         parts = list[Tracks]()
         taken = set[tuple[int, int]]()
         at = list[int]()
         name = list[int]()
         identity = 1
         for path in self._paths(moments, state.window):
-            before, boxes = _back_dated(moments, path[0], self.back_dating, taken, model)
+            first = int(place[path[0][0]]), path[0][1]
+            before, boxes = _back_dated(observed, first, self.back_dating, taken, model)
             n = len(before)
             if len(path) + n < self.min_track_length:
                 continue
@@ -254,9 +266,9 @@ class GraphMatching(Checked):
             at += [int(start[k]) + i for k, i in path]
             name += [identity] * len(path)
             if n:
-                numbers, detections = np.array([(moments[k].number, j) for k, j in before]).T
-                first = moments[path[0][0]].estimates.weight[path[0][1]]
-                parts.append(Tracks.of(numbers, identity, boxes, first, detections))
+                numbers, detections = np.array([(observed[k].number, j) for k, j in before]).T
+                weight = observed[first[0]].estimates.weight[first[1]]
+                parts.append(Tracks.of(numbers, identity, boxes, weight, detections))
             identity += 1
         parts += rows_of(
             moments, np.array(at, np.int64), np.array(name, np.int64), self.bridge_gaps, model
@@ -341,6 +353,8 @@ class GraphMatching(Checked):
         """
         online = state.online
         moment = state.history[place]
+        if not moment.observed:
+            return state, self._unobserved(state, place, model)
         held = [state.history[k] for k in range(place + 1, len(state.history))]
         end = moment.first + len(moment.estimates)
         onward, gain = _onward(online.first, state.window, held)
@@ -379,6 +393,23 @@ class GraphMatching(Checked):
         online = OnlineTracks(oldest, track, kept, returned, used)
         return replace(state, online=online), Tracks.concatenate(parts)
 
+    def _unobserved(self, state: GraphState, place: int, model: Model) -> Tracks:
+        """The rows of the frame at ``place`` of the history, which was not observed."""
+        online = state.online
+        known = online.known
+        if not (self.bridge_gaps and known.confirmed.any()):
+            return Tracks.empty()
+        held = [state.history[k] for k in range(place + 1, len(state.history))]
+        onward, _ = _onward(online.first, state.window, held)
+        after = onward[known.last - online.first]
+        bridging = (known.confirmed & (after >= 0)).nonzero()[0]
+        parts = _bridged(known.select(bridging), after[bridging], state.history, place, model)
+        going = (known.confirmed & (after < 0) & (known.confidence > 0)).nonzero()[0]
+        unlinked = np.ones(len(going), np.bool_)
+        missing = known.select(going)
+        rows = self._coasted(state, place, missing, unlinked, online.returned, model)[1]
+        return Tracks.concatenate([*parts, rows])
+
     def _coasted(
         self,
         state: GraphState,
@@ -396,9 +427,13 @@ class GraphMatching(Checked):
         """
         moment = state.history[place]
         ahead = missing.state
-        if len(moment.warp):
-            ahead = model.motion.warp_states(ahead, moment.warp)
-        step = moment.time - state.history[place - 1].time
+        since = place - 1
+        while since > state.history.forgotten and not state.history[since].observed:
+            since -= 1
+        warps = [state.history[k].warp for k in range(since + 1, place + 1)]
+        if any(len(warp) for warp in warps):
+            ahead = model.motion.warp_states(ahead, warp_of.after(warps))
+        step = moment.time - state.history[since].time
         ahead, _, _ = model.motion.transition(ahead, step)
         survive = model.motion.p_survive(ahead, step / model.rate)
         confidence = missing.confidence * survive

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from phdtrack.kernels.linking import Links, Window
+from phdtrack.models import warp as warp_of
 from phdtrack.models.rts import bridge
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory, Tracks
@@ -20,6 +21,9 @@ HISTORY = 600.0
 # Moments in a chunk: adding a moment copies references to less than two chunks and to the chunks
 # before.
 CHUNK = 32
+
+# Frames in a row without detection that are remembered: tracks are not continued for longer.
+MOST_UNOBSERVED = 300
 
 # A track: the places (moment, state) of its states.
 Path = list[tuple[int, int]]
@@ -39,6 +43,8 @@ class Moment:
     row, class_id, score : (N,) of the detections that were measured.
     warp : the camera's motion since the frame before (`Model.warp`); all else lies in the frame's
         own pixels.
+    observed : whether a detector ran. If not, the states are predicted from the frame that was
+        observed before, and nothing is learned of them.
     """
 
     number: int
@@ -51,6 +57,7 @@ class Moment:
     class_id: I8
     score: F8
     warp: F8 = field(default_factory=lambda: STILL)
+    observed: bool = True
 
     @property
     def rows(self) -> I8:
@@ -87,6 +94,21 @@ class History:
             return History(self.full, recent, self.forgotten)
         return History((*self.full, recent[:CHUNK]), recent[CHUNK:], self.forgotten)
 
+    def followed_by(self, moment: Moment) -> History:
+        """A history with one more moment, whose time and warp are as of `next_moment`.
+
+        Of more moments in a row that were not observed than `MOST_UNOBSERVED` no more is kept.
+        """
+        gap = unobserved_at_end(self, self.forgotten)
+        if len(gap) >= MOST_UNOBSERVED and not moment.observed:
+            return self
+        place = len(self) - len(gap) - 1
+        before = self[place] if place >= self.forgotten else None
+        timed, moment = next_moment(before, gap, moment)
+        held = min(len(gap), len(self.recent))
+        recent = (*self.recent[: len(self.recent) - held], *timed[len(gap) - held :])
+        return History(self.full, recent, self.forgotten).append(moment)
+
     def since(self, time: float) -> History:
         """Without the chunks that lie before model time ``time``."""
         gone = 0
@@ -108,6 +130,51 @@ class History:
     def __iter__(self) -> Iterator[Moment]:
         """The moments that are still held."""
         return itertools.chain(*self.full, self.recent)
+
+
+def unobserved_at_end(moments: History | Sequence[Moment], first: int = 0) -> list[Moment]:
+    """The moments since the last that was observed, of those from place ``first`` on."""
+    begin = len(moments)
+    while begin > first and not moments[begin - 1].observed:
+        begin -= 1
+    return [moments[k] for k in range(begin, len(moments))]
+
+
+def next_moment(
+    before: Moment | None, gap: Sequence[Moment], moment: Moment
+) -> tuple[tuple[Moment, ...], Moment]:
+    """A moment, and those that were not observed before it, in the order of their times.
+
+    Parameters
+    ----------
+    before, gap : the last moment that was observed, if any, and those since.
+    moment : the new one, with time and warp since ``before``; it is returned with the warp since
+        the last of the gap. Times that these were expected at are moved before its own.
+    """
+    if not gap:
+        return (), moment
+    if len(moment.warp) or any(len(one.warp) for one in gap):
+        whole = moment.warp if len(moment.warp) else np.eye(3)
+        moment = replace(moment, warp=whole @ warp_of.back(warp_of.after([m.warp for m in gap])))
+    if before is None or gap[-1].time < moment.time:
+        return tuple(gap), moment
+    since = before.time
+    rate = (moment.time - since) / (gap[-1].time - since) * len(gap) / (len(gap) + 1)
+    return tuple(replace(one, time=since + rate * (one.time - since)) for one in gap), moment
+
+
+def observed_only(moments: Sequence[Moment]) -> list[Moment]:
+    """The moments that were observed, with the camera's motion since the one before."""
+    out = list[Moment]()
+    warps = list[F8]()
+    for moment in moments:
+        warps.append(moment.warp)
+        if moment.observed:
+            if len(warps) > 1 and any(len(one) for one in warps):
+                moment = replace(moment, warp=warp_of.after(warps))
+            out.append(moment)
+            warps.clear()
+    return out
 
 
 def open_links(window: Window, most: int | None = None) -> Links:

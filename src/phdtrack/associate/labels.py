@@ -26,7 +26,17 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh, to_xyxy
-from phdtrack.associate.history import HISTORY, NO_LINKS, History, Moment, measurements, rows_of
+from phdtrack.associate.history import (
+    HISTORY,
+    MOST_UNOBSERVED,
+    NO_LINKS,
+    History,
+    Moment,
+    measurements,
+    next_moment,
+    rows_of,
+    unobserved_at_end,
+)
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
 from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning
 from phdtrack.models.warp import warp_states
@@ -179,41 +189,57 @@ class Labelled(Checked):
 
         The past of the estimates counts, too. Raises `InputError` if states have no label.
         """
-        time = state.time + dt
-        settled = max(0, len(state.recent) - len(estimates.past))
-        now = Moment(
-            number,
-            time,
-            0,
-            _one_each(estimates),
-            NO_LINKS,
-            z,
-            detections.row,
-            detections.class_id,
-            detections.confidence,
-            model.warp,
+        gap = unobserved_at_end(state.recent)
+        if len(gap) >= MOST_UNOBSERVED and not detections.observed:
+            return state, Tracks.empty()
+        observed = state.recent[: len(state.recent) - len(gap)]
+        timed, now = next_moment(
+            observed[-1] if observed else None,
+            gap,
+            Moment(
+                number,
+                state.time + dt,
+                0,
+                _one_each(estimates),
+                NO_LINKS,
+                z,
+                detections.row,
+                detections.class_id,
+                detections.confidence,
+                model.warp,
+                detections.observed,
+            ),
         )
-        recent = list(state.recent[settled:])
-        changed = [now]
-        for k, seen in enumerate(estimates.past[len(estimates.past) - len(recent) :]):
-            if seen is not None:
-                recent[k] = replace(recent[k], estimates=_one_each(seen))
-                changed.append(recent[k])
+        recent = [*observed, *timed]
+        if not now.observed:
+            known = np.isin(now.estimates.tag, state.table.label)
+            now = replace(now, estimates=now.estimates.select(known))
+            ahead = replace(state, recent=(*recent, now))
+            return self._emitted(ahead, state.table.counting(recent), model)
+        settled, changed = _revise(recent, estimates.past)
+        changed.append(now)
         history = state.history
-        for moment in state.recent[:settled]:
+        for moment in recent[:settled]:
             history = history.append(moment)
-        table = state.table.including(changed).counting(state.recent[:settled])
+        table = state.table.including(changed).counting(recent[:settled])
+        recent = recent[settled:]
         present = table.counting((*recent, now))
         if self.coast_by_evidence:
             followed = self._followed(state.followed, now, present, dt, model)
         else:
             followed = state.followed
-        extended = LabelledState(history, (*recent, now), table, time, state.used, followed)
-        due = len(extended) - 1 - self.output_delay
+        extended = LabelledState(history, (*recent, now), table, now.time, state.used, followed)
+        return self._emitted(extended, present, model)
+
+    def _emitted(
+        self, state: LabelledState, present: LabelTable, model: Model
+    ) -> tuple[LabelledState, Tracks]:
+        """The state after the online rows that are now due, and these."""
+        due = len(state) - 1 - self.output_delay
         if due < 0:
-            return extended, Tracks.empty()
-        extended, tracks = self._emit(extended, due, present, model)
-        return self._recent(extended, due, model), tracks
+            return state, Tracks.empty()
+        state, tracks = self._emit(state, due, present, model)
+        return self._recent(state, due, model), tracks
 
     def flush(self, state: LabelledState, model: Model) -> Tracks:
         """The online rows of the last ``output_delay`` frames."""
@@ -267,11 +293,13 @@ class Labelled(Checked):
         last = present.last[place]
         coasting = moment.time - last <= self.max_coast * model.rate + 1e-9
         if self.coast_by_evidence:
-            age = (state.time - last) / model.rate
+            age = (state[len(state) - 1].time - last) / model.rate
             coasting = returning(state.followed.verdicts, age, coasting, PRIOR, SHARE) | (
                 last >= moment.time
             )
         coasting = self.bridge_gaps & confirmed & coasting
+        if not moment.observed:
+            coasting &= present.identity[place] > 0
         shown = np.flatnonzero((estimates.detection >= 0) | coasting)
         place = place[shown]
         confirmed = confirmed[shown]
@@ -329,6 +357,23 @@ class Labelled(Checked):
         if history is state.history and kept.all():
             return state
         return replace(state, history=history, table=state.table.select(kept))
+
+
+def _revise(recent: list[Moment], past: tuple[Estimates | None, ...]) -> tuple[int, list[Moment]]:
+    """Write what a filter's past revises into the recent moments, the last of which it reaches.
+
+    Returns how many moments it reaches no more, and those that it revised.
+    """
+    observed = [k for k, moment in enumerate(recent) if moment.observed]
+    beyond = len(observed) - len(past)
+    settled = observed[beyond - 1] + 1 if beyond > 0 else 0
+    reached = observed[max(beyond, 0) :]
+    changed = []
+    for k, revised in zip(reached, past[len(past) - len(reached) :], strict=True):
+        if revised is not None:
+            recent[k] = replace(recent[k], estimates=_one_each(revised))
+            changed.append(recent[k])
+    return settled, changed
 
 
 def _one_each(e: Estimates) -> Estimates:
