@@ -110,6 +110,30 @@ def chained(
 
 
 @njit(**ENTRY)
+def neighbours(boxes: F8) -> int:
+    """How many ordered pairs of the boxes (n, 4) are neighbours: the second within ±1 box of the
+    first in position, and 0.5 to 1.5 of its width and height (`models.volumes`).
+    """
+    count = 0
+    for i in range(boxes.shape[0]):
+        width = boxes[i, 2] - boxes[i, 0]
+        height = boxes[i, 3] - boxes[i, 1]
+        x = boxes[i, 0] + boxes[i, 2]
+        y = boxes[i, 1] + boxes[i, 3]
+        for j in range(boxes.shape[0]):
+            near = (
+                j != i
+                and abs(boxes[j, 0] + boxes[j, 2] - x) < 2.0 * width
+                and abs(boxes[j, 1] + boxes[j, 3] - y) < 2.0 * height
+            )
+            if near:
+                w = (boxes[j, 2] - boxes[j, 0]) / width
+                h = (boxes[j, 3] - boxes[j, 1]) / height
+                count += 0.5 < w < 1.5 and 0.5 < h < 1.5
+    return count
+
+
+@njit(**ENTRY)
 def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) -> tuple[F8, F8, F8]:
     """The line after one step of Newton's method with the verdicts on detections with these x; old
     ones are forgotten.

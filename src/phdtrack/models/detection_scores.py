@@ -32,7 +32,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, Positive, Share
-from phdtrack.kernels.detection_scores import LOGIT, RANK, Line, chained, newton, scaled
+from phdtrack.kernels.detection_scores import LOGIT, RANK, Line, chained, neighbours, newton, scaled
 from phdtrack.models.clutter import ScoredClutter
 from phdtrack.protocols import Learning, Model
 from phdtrack.types import F8, I8, Detections, Step
@@ -48,6 +48,8 @@ PRIOR_VERDICTS = np.array([7.0, 3.0])
 _PRECISION = np.diag(PRIOR_PRECISION)
 # Detections whose being alone or not is assumed to be known at the start, none of them alone.
 FIRST_SEEN = 100.0
+NEAR = 0.6
+NEAR_PRIOR = 20.0
 # Slope of the prior for ranks, and the rank that says nothing.
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
@@ -86,6 +88,7 @@ class ScoresSeen:
     length: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     line: Line | None = None
     alone: tuple[float, float] = (0.0, FIRST_SEEN)
+    near: tuple[float, float] = (0.0, 0.0)
 
     @property
     def kind(self) -> int:
@@ -162,6 +165,9 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         """The model whose false alarms are weighed by the scores of the detections."""
         single, lasting = self.log_odds(detections.confidence, state)
         more = max(state.alone[0] / state.alone[1] / self.usual_alone, 1.0)
+        near, seen = state.near
+        most = (NEAR_PRIOR * NEAR + near) / (NEAR_PRIOR + seen)
+        more *= min(max(most / NEAR, 0.02), 1.0)
         return replace(model, clutter=ScoredClutter(model.clutter, np.exp(single), lasting, more))
 
     def advance(self, state: ScoresSeen, step: Step) -> ScoresSeen:
@@ -189,7 +195,10 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             # As plain tuples: Numba looks up the class of every named one.
             prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
             line = Line(*newton(tuple(line or prior), true, false, prior, float(KEPT)))
-        return ScoresSeen(scores, extent, boxes, waiting, length, line, alone)
+        m = len(boxes)
+        fade = max(1 - m / KEPT, 0.0)
+        near = fade * state.near[0] + neighbours(boxes), fade * state.near[1] + m
+        return ScoresSeen(scores, extent, boxes, waiting, length, line, alone, near)
 
 
 def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8, F8]:
