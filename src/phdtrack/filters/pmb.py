@@ -74,6 +74,7 @@ from phdtrack.filters.undetected import recycled, still_undetected, survived, wi
 from phdtrack.kernels import Records
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.gaussian import Births
+from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import (
     CERTAIN,
     HYPOTHESIS,
@@ -102,6 +103,10 @@ from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 # on average, it then does.
 STANDING = 0.03
 MEAN_STANDING_TIME = 0.5
+# The probability that a new target is fast, and how many times as wide as usual its velocity is.
+FAST_SHARE = 0.1
+FAST_SPEED = 6.0
+NO_SPEED = np.zeros((0, 2))
 # Chances to be detected that the sensor's p_D counts for, and the limits of the p_D learned.
 PRIOR_CHANCES = 30.0
 LEAST_DETECTION = 0.2
@@ -187,6 +192,8 @@ class PMB(Checked, Filter[Bernoullis]):
         model says.
     detection_memory : chances to detect a target after which what they have told of p_D counts for
         37 %; 0: p_D is the sensor's.
+    turns_per_second : how often the velocity of a target is new at once, as of a ball that bounces;
+        0: never, nor are new targets fast.
     initial : targets before the first frame; a weight is the probability that there is one.
     """
 
@@ -207,6 +214,7 @@ class PMB(Checked, Filter[Bernoullis]):
     acceleration_factors: tuple[Positive, ...] = (1.0, 3.1623, 10.0)
     clutter_decay: NonNegative = 0.5
     detection_memory: NonNegative = 2000.0
+    turns_per_second: NonNegative = 0.1
     initial: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
@@ -331,7 +339,9 @@ class PMB(Checked, Filter[Bernoullis]):
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some
         # kernels.
         layer, learned, gone, weak, counted = updated_layer(
-            *map(tuple, (now, ahead, seen, new, scores, settings)), state.next_label
+            *map(tuple, (now, ahead, seen, new, scores, settings)),
+            state.next_label,
+            tuple(self._jumps(now, model, dt)),
         )
         predicted, born, mass, evidence, false_alarm, vanished, detected = learned
         info = UpdateInfo(
@@ -427,6 +437,16 @@ class PMB(Checked, Filter[Bernoullis]):
             self.noise_freedom,
             len(self.acceleration_factors),
         )
+
+    def _jumps(self, now: Layer, model: Model, dt: float) -> Jumps:
+        """How the velocities of targets may be new; for none if the sensor is not linear."""
+        speed = NO_SPEED
+        turn = 0.0
+        if self.turns_per_second and self.transform == "linear":
+            columns = np.ascontiguousarray(now.mean.T)
+            speed = np.ascontiguousarray(model.sensor.noise(columns)[2:4].T)
+            turn = -math.expm1(-self.turns_per_second * dt / model.rate)
+        return Jumps(dt, FAST_SHARE, turn, speed, FAST_SPEED)
 
     def _with_ended(self, state: Bernoullis, gone: I8) -> I8:
         """`Bernoullis.ended` with the hypotheses of targets that are deleted now, and without those

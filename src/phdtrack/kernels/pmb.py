@@ -41,6 +41,7 @@ from phdtrack.kernels.gaussian import (
     records,
     write_posteriors,
 )
+from phdtrack.kernels.jumps import Jumps, jumping, with_jumps
 
 TINY = float(np.finfo(np.float64).tiny)
 # Log odds of what is certain, in double precision.
@@ -211,6 +212,7 @@ def updated_layer(
     scores: Scores,
     s: Settings,
     fresh: int,
+    jumps: Jumps,
 ) -> tuple[
     Layer, tuple[float, float, float, F8, F8, int, float], I8, F8, tuple[float, float, float]
 ]:
@@ -236,6 +238,7 @@ def updated_layer(
     new = NewTargets(*new)
     scores = Scores(*scores)
     s = Settings(*s)
+    jumps = Jumps(*jumps)
     targets, hypotheses, mean, covariance = layer
     count = len(targets)
     n = len(m.z)
@@ -244,6 +247,18 @@ def updated_layer(
     pairs = gated(
         e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails
     )
+    # Give new velocities to targets that nothing is near
+    if len(jumps.speed) > 0:
+        jump = jumping(targets, mean, covariance, pairs, e, m.z, jumps)
+        if jump.any():
+            targets, hypotheses, mean, covariance, e = with_jumps(
+                (targets, hypotheses, mean, covariance), jump, e, jumps
+            )
+            layer = Layer(targets, hypotheses, mean, covariance)
+            p_detect, visible, tails = _detection_terms(hypotheses, e.p_detect, s)
+            pairs = gated(
+                e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails
+            )
     # Associate
     exists = np.empty(count)
     measured = np.empty((3, n))

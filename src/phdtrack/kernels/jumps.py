@@ -1,0 +1,147 @@
+"""Targets whose velocity is not what was expected: new ones that are fast, and those that turn at
+once.
+
+The velocity of a target is a mixture: with a small probability it is new, of any direction and
+much wider than usual. That hypothesis is written out only where it can matter: for a target that
+none of the measurements is near, with a measurement in reach that is near no target.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from phdtrack.kernels import F8, I8, Bool, Records
+from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import INNER
+from phdtrack.kernels.gaussian import Expected, copy_gaussian
+
+# Squared deviations within which a measurement is near a target: 99 % of four components.
+NEAR = 13.3
+# Deviations of the new velocity within which a measurement is in reach.
+REACH = 3.0
+# A velocity is unknown if its variance is at least this share of that of a new target.
+UNKNOWN = 0.5
+
+
+class Jumps(NamedTuple):
+    """How velocities may be new.
+
+    ``interval`` in time units; ``fast``: the probability that a new target is fast; ``turn``: that
+    the velocity of another is new after the interval; ``speed`` (C, 2): deviations of a usual
+    unknown velocity; ``wide``: how many times as large those of a new one are.
+    """
+
+    interval: float
+    fast: float
+    turn: float
+    speed: F8
+    wide: float
+
+
+@njit(**INNER)
+def jumping(
+    targets: Records, mean: F8, covariance: F8, pairs: Records, e: Expected, z: F8, jumps: Jumps
+) -> Bool:
+    """(T,) which targets none of the measurements ``z`` (N, r) is near, and one that is near no
+    target in reach of a new velocity.
+    """
+    near = np.zeros(len(targets), np.bool_)
+    explained = np.zeros(len(z), np.bool_)
+    t = 0 * len(z)
+    for q in range(pairs.size):
+        while pairs[q].gaussian >= targets[t].end:
+            t += 1
+        if pairs[q].distance2 < NEAR:
+            near[t] = True
+            explained[pairs[q].measurement] = True
+    out = np.zeros(len(targets), np.bool_)
+    for t in range(len(targets)):
+        c = targets[t].best
+        if near[t] or c < 0:
+            continue
+        low = np.empty(2)
+        high = np.empty(2)
+        for a in range(2):
+            row = e.rows[a]
+            middle = mean[c, row] - jumps.interval * mean[c, row + 2]
+            wide = jumps.wide * jumps.interval * jumps.speed[c, a]
+            reach = REACH * np.sqrt(covariance[c, row, row] + wide * wide)
+            low[a] = middle - reach
+            high[a] = middle + reach
+        for j in range(len(z)):
+            if not explained[j] and low[0] < z[j, 0] < high[0] and low[1] < z[j, 1] < high[1]:
+                out[t] = True
+                break
+    return out
+
+
+@njit(**INNER)
+def with_jumps(
+    before: tuple[Records, Records, F8, F8], jump: Bool, e: Expected, jumps: Jumps
+) -> tuple[Records, Records, F8, F8, Expected]:
+    """The targets, hypotheses, means and covariances with one hypothesis more for each target that
+    may ``jump`` (T,), and the measurements that they predict. The sensor is linear.
+    """
+    targets, hypotheses, mean, covariance = before
+    count = len(hypotheses) + int(jump.sum())
+    d = mean.shape[1]
+    out = targets.copy()
+    more = np.empty(count, hypotheses.dtype)
+    more_mean = np.empty((count, d))
+    more_cov = np.empty((count, d, d))
+    noise = np.empty((count if len(e.noise) else 0, e.noise.shape[1], e.noise.shape[2]))
+    p_detect = np.empty(count)
+    k = 0 * count
+    for t in range(len(targets)):
+        target = targets[t]
+        begin = k
+        for c in range(target.begin, target.end + jump[t]):
+            own = c if c < target.end else target.best
+            more[k] = hypotheses[own]
+            copy_gaussian(mean, covariance, own, more_mean, more_cov, k)
+            p_detect[k] = e.p_detect[own]
+            for a in range(noise.shape[1] if len(noise) else 0):
+                for b in range(noise.shape[2]):
+                    noise[k, a, b] = e.noise[own, a, b]
+            k += 1
+        out[t].begin = begin
+        out[t].end = k
+        if target.best >= 0:
+            out[t].best = begin + target.best - target.begin
+        if jump[t]:
+            _write_jump(more, more_mean, more_cov, (out[t].best, k - 1), target.best, jumps)
+    expected = Expected(e.rows, more_mean, more_cov, more_cov, noise, p_detect)
+    return out, more, more_mean, more_cov, expected
+
+
+@njit(**INNER)
+def _write_jump(
+    hypotheses: Records, mean: F8, cov: F8, places: tuple[int, int], old: int, jumps: Jumps
+) -> None:
+    """Give the hypothesis at the second of the ``places``, a copy of that at the first, a new
+    velocity, and its part of the weight. ``old``: the place of both in ``jumps.speed``.
+    """
+    c, k = places
+    share = jumps.turn
+    if cov[c, 2, 2] > UNKNOWN * jumps.speed[old, 0] ** 2:
+        share = jumps.fast
+    hypotheses[k].weight = share * hypotheses[c].weight
+    hypotheses[k].occluded = 0.0
+    hypotheses[c].weight -= hypotheses[k].weight
+    dt = jumps.interval
+    for a in range(2):
+        variance = (jumps.wide * jumps.speed[old, a]) ** 2
+        mean[k, a] -= dt * mean[k, a + 2]
+        mean[k, a + 2] = 0.0
+        for b in range(mean.shape[1]):
+            cov[k, a + 2, b] = 0.0
+            cov[k, b, a + 2] = 0.0
+            if b != a:
+                cov[k, a, b] = 0.0
+                cov[k, b, a] = 0.0
+        cov[k, a, a] += variance * dt * dt
+        cov[k, a, a + 2] = variance * dt
+        cov[k, a + 2, a] = variance * dt
+        cov[k, a + 2, a + 2] = variance
