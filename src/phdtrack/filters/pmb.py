@@ -335,7 +335,10 @@ class PMB(Checked, Filter[Bernoullis]):
         births = with_births(state.undetected, model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
         # Gate, associate by belief propagation, update each target: PMB (3), (4), (7) to (10)
-        settings = self._settings(gate, dt, scores.prior < CERTAIN)
+        clutter_share = 1.0
+        if isinstance(model.clutter, ScoredClutter):
+            clutter_share = min(model.clutter.more, 1.0)
+        settings = self._settings(gate, clutter_share, scores.prior < CERTAIN)
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some
         # kernels.
         layer, learned, gone, weak, counted = updated_layer(
@@ -416,9 +419,9 @@ class PMB(Checked, Filter[Bernoullis]):
                 cure="Use 0, the model's noises",
             )
 
-    def _settings(self, gate: float, dt: float, lasting: bool) -> Settings:
+    def _settings(self, gate: float, clutter_share: float, lasting: bool) -> Settings:
         """The settings of the kernel. If scores tell ``lasting`` false alarms, none is static."""
-        clutter = self.static_clutter_prior
+        clutter = self.static_clutter_prior * clutter_share
         standing = (1 - clutter) * STANDING
         prior = 0.0
         genuine = CERTAIN
