@@ -61,6 +61,10 @@ LARGEST_LOGIT = 25.0
 EVEN_LOGIT = 2.0
 BOUND = math.log(999)
 LEAST = 0.001
+# The x that the best scores of a stream have at least; where they are lower, all are raised. After
+# so many frames what was best before counts for 37 %.
+GOOD = math.log(4)
+LEVEL_FRAMES = 500.0
 _NO_SCORES = np.zeros(0)
 
 
@@ -89,6 +93,7 @@ class ScoresSeen:
     line: Line | None = None
     alone: tuple[float, float] = (0.0, FIRST_SEEN)
     near: tuple[float, float] = (0.0, 0.0)
+    level: float = -math.inf
 
     @property
     def kind(self) -> int:
@@ -130,7 +135,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
 
         Both (n,), and 0 for NaN and where all scores are the same.
         """
-        _, kind, x, _ = _scaled(state, score)
+        _, kind, x, _, _ = _scaled(state, score)
         limit = math.log(self.max_odds)
         slope, offset = self._line(state, kind)
         single = np.minimum(np.maximum(slope * x + offset, -limit), limit)
@@ -179,7 +184,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         boxes = step.detections.xyxy
         score = step.detections.confidence
         line = state.line
-        extent, kind, x, scores = _scaled(state, score)
+        extent, kind, x, scores, level = _scaled(state, score)
         waiting, length, true, false, single = chained(
             state.boxes, boxes, x, state.waiting, state.length, LINKED
         )
@@ -198,18 +203,24 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         m = len(boxes)
         fade = max(1 - m / KEPT, 0.0)
         near = fade * state.near[0] + neighbours(boxes), fade * state.near[1] + m
-        return ScoresSeen(scores, extent, boxes, waiting, length, line, alone, near)
+        return ScoresSeen(scores, extent, boxes, waiting, length, line, alone, near, level)
 
 
-def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8, F8]:
+def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8, F8, float]:
     """The extent of all scores, their kind, x of those (n,) of a frame, NaN where they say nothing,
-    and what is ranked.
+    what is ranked, and the level of the best scores.
     """
     low, high, kind, x = scaled(
         np.ascontiguousarray(score), *state.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST
     )
     if kind != RANK:
-        return (low, high), kind, x, state.scores
+        level = state.level
+        known = x[~np.isnan(x)]
+        if len(known):
+            best = float(known.max())
+            level = max(best, level - (level - best) / LEVEL_FRAMES)
+            x = x + max(GOOD - level, 0.0)
+        return (low, high), kind, x, state.scores, level
     known = np.concatenate([state.scores, score[~np.isnan(score)]])[-KEPT:]
     if low < high:
         # The mean rank of equal scores; neither 0 nor 1.
@@ -218,4 +229,4 @@ def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8,
         share = np.where(np.isnan(score), np.nan, (below + up_to + 1) / (2 * len(order) + 2))
         share = np.clip(share, LEAST, 1 - LEAST)
         x = np.log(share / (1 - share))
-    return (low, high), kind, x, known
+    return (low, high), kind, x, known, state.level
