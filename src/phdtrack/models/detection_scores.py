@@ -49,7 +49,7 @@ _PRECISION = np.diag(PRIOR_PRECISION)
 # Detections whose being alone or not is assumed to be known at the start, none of them alone.
 FIRST_SEEN = 100.0
 NEAR = 0.6
-NEAR_PRIOR = 10.0
+NEAR_PRIOR = 20.0
 # Slope of the prior for ranks, and the rank that says nothing.
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
@@ -172,7 +172,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         more = max(state.alone[0] / state.alone[1] / self.usual_alone, 1.0)
         near, seen = state.near
         most = (NEAR_PRIOR * NEAR + near) / (NEAR_PRIOR + seen)
-        more *= min(max(most / NEAR, 0.02), 1.0)
+        more *= min(max(most / NEAR, 0.05), 1.0)
         return replace(model, clutter=ScoredClutter(model.clutter, np.exp(single), lasting, more))
 
     def advance(self, state: ScoresSeen, step: Step) -> ScoresSeen:
