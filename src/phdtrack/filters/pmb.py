@@ -101,8 +101,8 @@ from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
 # The probability that a target stands still when it is first detected, and the seconds for which,
 # on average, it then does.
-STANDING = 0.03
-MEAN_STANDING_TIME = 0.5
+STANDING = 0.05
+MEAN_STANDING_TIME = 2.0
 # The probability that a new target is fast, and how many times as wide as usual its velocity is.
 FAST_SHARE = 0.1
 FAST_SPEED = 6.0
@@ -110,7 +110,7 @@ NO_SPEED = np.zeros((0, 2))
 # Chances to be detected that the sensor's p_D counts for, and the limits of the p_D learned.
 PRIOR_CHANCES = 30.0
 LEAST_DETECTION = 0.2
-MOST_DETECTION = 0.79
+MOST_DETECTION = 0.97
 # Frames after which what a score has said of lasting clutter counts for 37 %.
 SCORE_MEMORY = 15.0
 
@@ -206,7 +206,7 @@ class PMB(Checked, Filter[Bernoullis]):
     mean_visible_time: NonNegative = 5.0
     mean_occluded_time: Positive = 0.3
     static_clutter_prior: Probability = 0.1
-    static_clutter_detection_probability: Probability = 0.3
+    static_clutter_detection_probability: Probability = 0.4
     lasting_clutter_prior: Probability = 0.1
     history: PositiveCount = 10
     noise_freedom: NonNegative = 8.0
@@ -331,14 +331,18 @@ class PMB(Checked, Filter[Bernoullis]):
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         # Predicted measurements of known targets; first detections λ̂(z) of new ones: PMB (5)
         ahead = predicted_measurements(model.sensor, now.mean, now.covariance, self.transform)
-        ahead = ahead._replace(p_detect=self._with_learned(ahead.p_detect, state.detections))
+        ratio = self._learned(state.detections)[0]
+        p_detect = ratio * ahead.p_detect / (1 + (ratio - 1) * ahead.p_detect)
+        ahead = ahead._replace(p_detect=p_detect)
         births = with_births(state.undetected, model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
         # Gate, associate by belief propagation, update each target: PMB (3), (4), (7) to (10)
         clutter_share = 1.0
         if isinstance(model.clutter, ScoredClutter):
             clutter_share = min(model.clutter.more, 1.0)
-        settings = self._settings(gate, clutter_share, scores.prior < CERTAIN)
+        learned = self._learned(state.detections)
+        standing = learned[1] / learned[0]
+        settings = self._settings(gate, clutter_share, standing, scores.prior < CERTAIN)
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some
         # kernels.
         layer, learned, gone, weak, counted = updated_layer(
@@ -367,16 +371,18 @@ class PMB(Checked, Filter[Bernoullis]):
         )
         return after, info
 
-    def _with_learned(self, p_detect: F8, counted: tuple[float, float, float]) -> F8:
-        """p_D (C,) of the sensor, with its odds as `Bernoullis.detections` say."""
+    def _learned(self, counted: tuple[float, float, float]) -> tuple[float, float]:
+        """The odds of p_D, as a multiple of the sensor's, that `Bernoullis.detections` say: at most
+        1, and whatever they are.
+        """
         hits, chances, expected = counted
         if not (self.detection_memory and chances > 0):
-            return p_detect
+            return 1.0, 1.0
         usual = min(max(expected / chances, 0.01), 0.99)
         learned = (PRIOR_CHANCES * usual + hits) / (PRIOR_CHANCES + chances)
         learned = min(max(learned, LEAST_DETECTION), MOST_DETECTION)
         ratio = learned / (1 - learned) * (1 - usual) / usual
-        return ratio * p_detect / (1 + (ratio - 1) * p_detect)
+        return min(ratio, 1.0), ratio
 
     def _remembered(
         self, before: tuple[float, float, float], counted: tuple[float, float, float]
@@ -419,7 +425,9 @@ class PMB(Checked, Filter[Bernoullis]):
                 cure="Use 0, the model's noises",
             )
 
-    def _settings(self, gate: float, clutter_share: float, lasting: bool) -> Settings:
+    def _settings(
+        self, gate: float, clutter_share: float, standing_odds: float, lasting: bool
+    ) -> Settings:
         """The settings of the kernel. If scores tell ``lasting`` false alarms, none is static."""
         clutter = self.static_clutter_prior * clutter_share
         standing = (1 - clutter) * STANDING
@@ -436,6 +444,7 @@ class PMB(Checked, Filter[Bernoullis]):
             gate,
             prior,
             genuine,
+            standing_odds,
             self.static_clutter_detection_probability,
             self.noise_freedom,
             len(self.acceleration_factors),

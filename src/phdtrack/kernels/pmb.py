@@ -58,7 +58,7 @@ CONFIRMED = 0.05
 # How well the place of static clutter can be known, as a share of the variances by which the sensor
 # resolves states. Were it known better and better, a target that stands still would be explained by
 # it better and better.
-STATIC_SHARE = 0.5
+STATIC_SHARE = 0.1
 
 # A target: the probabilities that it exists, and that it does and is no clutter (its presence), and the greatest presence that it ever had; its label, rising, from 0, unique; its
 # hypotheses begin … end − 1, and the heaviest of them that moves, −1 where there is none.
@@ -114,6 +114,7 @@ class Settings(NamedTuple):
     gate: float
     standing_prior: float
     standing_genuine: float
+    standing_odds: float
     static_detection_probability: float
     noise_freedom: float
     motions: int
@@ -364,7 +365,10 @@ def _detection_terms(hypotheses: Records, p_detect: F8, s: Settings) -> tuple[F8
     tails = np.empty((len(hypotheses) if s.noise_freedom > 0.0 else 0, 3))
     for c in range(len(hypotheses)):
         h = hypotheses[c]
-        visible[c] = (1.0 - h.occluded) * p_detect[c]
+        p = p_detect[c]
+        if h.static:
+            p = s.standing_odds * p / (1.0 + (s.standing_odds - 1.0) * p)
+        visible[c] = (1.0 - h.occluded) * p
         own[c] = visible[c]
         if h.static:
             genuine = probability(h.genuine)
