@@ -189,19 +189,29 @@ def predicted_layer(
 @njit(**INNER)
 def _depart(target: Any, hypotheses: Records, depart: float) -> None:
     """Of the weight of a target that stands still, move the part of those that begin to move by now
-    to its heaviest hypothesis that moves.
+    to its hypotheses that move.
     """
-    if target.best < 0:
+    moving = 0.0
+    moves = 0.0
+    for c in range(target.begin, target.end):
+        h = hypotheses[c]
+        if not h.static:
+            moving += h.weight
+    if not moving > 0.0:
         return
     for c in range(target.begin, target.end):
         h = hypotheses[c]
         if h.static:
             genuine = probability(h.genuine)
-            moves = h.weight * genuine * depart
-            hypotheses[target.best].weight += moves
-            h.weight -= moves
+            part = h.weight * genuine * depart
+            moves += part
+            h.weight -= part
             if genuine < 1.0:
                 h.genuine += math.log1p(-depart)
+    for c in range(target.begin, target.end):
+        h = hypotheses[c]
+        if not h.static:
+            h.weight += moves * h.weight / moving
 
 
 @njit(**ENTRY)
@@ -542,10 +552,12 @@ def _choose(
         # A target whose probability has just risen may have begun, however rare births are.
         if not (total >= s.existence_threshold or total > target.r):
             continue
-        least = s.hypothesis_threshold * total
+        # What stands still may go, so that the hypotheses that move are compared with each other.
+        stands = _standing(target, hypotheses, p_detect, pairs[begun:q], unseen)
+        least = s.hypothesis_threshold * (total - stands), s.hypothesis_threshold * total
         for i in range(begun, q):
             pair = pairs[i]
-            if pair.weight >= least and pair.weight > 0.0:
+            if pair.weight >= least[hypotheses[pair.gaussian].static] and pair.weight > 0.0:
                 end = _sorted_in(
                     options,
                     (k, end),
@@ -554,48 +566,28 @@ def _choose(
                 )
         for c in range(target.begin, target.end):
             weight = unseen * hypotheses[c].weight * (1.0 - p_detect[c])
-            if weight >= least and weight > 0.0:
+            if weight >= least[hypotheses[c].static] and weight > 0.0:
                 end = _sorted_in(options, (k, end), (c, -1), (weight, 0.0, 0.0))
         kept[t] = end - k if end - k < s.max_hypotheses else int(s.max_hypotheses)
-        kept[t] = _with_moving(target, hypotheses, pairs[begun:q], options, k, int(kept[t]))
         k += kept[t]
     return k
 
 
 @njit(**INNER)
-def _with_moving(
-    target: Any, hypotheses: Records, pairs: Records, options: Records, begin: int, count: int
-) -> int:
-    """How many options a target keeps, if one of them has to move, as what stands still may go.
-
-    ``begin`` and ``count``: its options so far. Where all of them stand, the heaviest that moves is
-    added: with one of ``pairs``, its measurements.
+def _standing(
+    target: Any, hypotheses: Records, p_detect: F8, pairs: Records, unseen: float
+) -> float:
+    """The probability that a target exists and stands still: of ``pairs``, its measurements, and of
+    a miss, which has ``unseen`` times the prior probability of the hypothesis to be missed.
     """
-    for i in range(begin, begin + count):
-        if not hypotheses[options[i].gaussian].static:
-            return count
-    best = -1
-    for q in range(pairs.size):
-        if not hypotheses[pairs[q].gaussian].static and (
-            best < 0 or pairs[q].weight > pairs[best].weight
-        ):
-            best = q
-    option = options[begin + count]
-    if best >= 0 and pairs[best].weight > 0.0:
-        option.gaussian = pairs[best].gaussian
-        option.measurement = pairs[best].measurement
-        option.weight = pairs[best].weight
-        option.distance2 = pairs[best].distance2
-        option.first = pairs[best].first
-        return count + 1
-    if target.best < 0:
-        return count
-    option.gaussian = target.best
-    option.measurement = -1
-    option.weight = TINY
-    option.distance2 = 0.0
-    option.first = 0.0
-    return count + 1
+    total = 0.0
+    for c in range(target.begin, target.end):
+        if hypotheses[c].static:
+            total += unseen * hypotheses[c].weight * (1.0 - p_detect[c])
+            for q in range(pairs.size):
+                if pairs[q].gaussian == c:
+                    total += pairs[q].weight
+    return total
 
 
 @njit(**INNER)
