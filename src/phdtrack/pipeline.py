@@ -118,7 +118,9 @@ def advance(
     camera, model = _with_camera_motion(stages, state, z, warp, (number, time))
     if stages.detection_scores:
         model = stages.detection_scores.model(state.detection_scores, model)
-    intervals, dt = _interval(stages, state, time, model)
+    intervals, dt, pace = _interval(stages, state, time, model)
+    if pace < 1.0:
+        model = replace(model, pace=pace)
     began = clock.perf_counter()
     targets, divided, z = _explained(stages, state, detections, z, model, dt)
     usable = np.asarray(np.isfinite(z).all(axis=0))
@@ -260,16 +262,16 @@ def _explained(
 
 def _interval(
     stages: AnyStages, state: TrackingState, time: float, model: Model
-) -> tuple[tuple[int, float], float]:
-    """`TrackingState.intervals`, and the interval since the last observed frame in the model's time
-    units.
+) -> tuple[tuple[int, float], float, float]:
+    """`TrackingState.intervals`, the interval since the last observed frame in the model's time
+    units, and `Model.pace`.
 
     Streams of few frames a second show slow things: if the usual interval, the geometric mean, is
     longer than ``Stages.longest_interval``, the filter's time runs slower, so that the usual
     interval is as long as that.
     """
     if state.observed == 0:
-        return (0, 0.0), model.first
+        return (0, 0.0), model.first, 1.0
     seconds = time - state.observed_time
     count = state.intervals[0] + 1
     logs = state.intervals[1] + math.log(seconds)
@@ -277,7 +279,7 @@ def _interval(
     # Within rounding an interval of 0.2 s is 0.2 s.
     if not 0 < factor <= 1 - 1e-6:
         factor = 1.0
-    return (count, logs), seconds * factor * model.rate
+    return (count, logs), seconds * factor * model.rate, factor
 
 
 def _with_camera_motion(

@@ -207,6 +207,9 @@ class Model:
     ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes
     pixels of that frame to this one's; `types.STILL` where it stands still. States are warped
     before they are predicted.
+
+    ``pace`` is how fast the filter's time runs: at 1 as the clock, at 0.2 a fifth as fast
+    (`Stages.longest_interval`). Births go by the clock.
     """
 
     motion: Motion
@@ -216,12 +219,13 @@ class Model:
     rate: float = 25.0
     first: float = 1.0
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
+    pace: float = 1.0
 
     def birth_seconds(self, dt: float) -> float:
         """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last
         second.
         """
-        seconds = dt / self.rate
+        seconds = dt / (self.rate * self.pace)
         if seconds <= 1.0:
             return seconds
         leaving = max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)
