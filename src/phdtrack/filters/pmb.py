@@ -411,8 +411,9 @@ class PMB(Checked, Filter[Bernoullis]):
             intensity = clutter.intensity(z)
             nothing = np.zeros(z.shape[1])
             scores = Scores(nothing + 1, nothing, CERTAIN)
-        if self.clutter_decay and dt > 1:
-            intensity = intensity * dt**-self.clutter_decay
+        interval = dt / model.pace
+        if self.clutter_decay and interval > 1:
+            intensity = intensity * interval**-self.clutter_decay
         return intensity, scores
 
     def _check_noise(self, components: int) -> None:
