@@ -49,7 +49,7 @@ _PRECISION = np.diag(PRIOR_PRECISION)
 # Detections whose being alone or not is assumed to be known at the start, none of them alone.
 FIRST_SEEN = 100.0
 NEAR = 0.6
-NEAR_PRIOR = 20.0
+NEAR_PRIOR = 30.0
 # Slope of the prior for ranks, and the rank that says nothing.
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
