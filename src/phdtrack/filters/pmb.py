@@ -105,7 +105,7 @@ STANDING = 0.05
 MEAN_STANDING_TIME = 2.0
 # The probability that a new target is fast, and how many times as wide as usual its velocity is.
 FAST_SHARE = 0.1
-FAST_SPEED = 6.0
+FAST_SPEED = 8.0
 NO_SPEED = np.zeros((0, 2))
 # Chances to be detected that the sensor's p_D counts for, and the limits of the p_D learned.
 PRIOR_CHANCES = 30.0

@@ -42,10 +42,18 @@ class Jumps(NamedTuple):
 
 @njit(**INNER)
 def jumping(
-    targets: Records, mean: F8, covariance: F8, pairs: Records, e: Expected, z: F8, jumps: Jumps
+    targets: Records,
+    mean: F8,
+    covariance: F8,
+    pairs: Records,
+    e: Expected,
+    z: F8,
+    jumps: Jumps,
+    least: float,
 ) -> Bool:
     """(T,) which targets none of the measurements ``z`` (N, r) is near, and one that is near no
-    target in reach of a new velocity.
+    target in reach of a new velocity. Targets that have one with less than the ``least`` probability
+    are left out.
     """
     near = np.zeros(len(targets), np.bool_)
     explained = np.zeros(len(z), np.bool_)
@@ -59,7 +67,7 @@ def jumping(
     out = np.zeros(len(targets), np.bool_)
     for t in range(len(targets)):
         c = targets[t].best
-        if near[t] or c < 0:
+        if near[t] or c < 0 or targets[t].r * _share(covariance, c, c, jumps) < least:
             continue
         low = np.empty(2)
         high = np.empty(2)
@@ -117,6 +125,51 @@ def with_jumps(
 
 
 @njit(**INNER)
+def jumped(targets: Records, jump: Bool, count: int) -> Bool:
+    """(C,) which of ``count`` hypotheses have a new velocity, after `with_jumps`."""
+    out = np.zeros(count, np.bool_)
+    for t in range(len(targets)):
+        if jump[t]:
+            out[targets[t].end - 1] = True
+    return out
+
+
+@njit(**INNER)
+def merged_pairs(pairs: Records, more: Records, targets: Records, jump: Bool) -> Records:
+    """The ``pairs`` of the hypotheses before `with_jumps`, and ``more`` of those that it added, in
+    the order of the hypotheses after it.
+    """
+    out = np.empty(len(pairs) + len(more), pairs.dtype)
+    count = 0 * len(pairs)
+    q = 0 * len(pairs)
+    r = 0 * len(pairs)
+    added = 0 * len(pairs)
+    for t in range(len(targets)):
+        end = targets[t].end - jump[t]
+        while q < len(pairs) and pairs[q].gaussian + added < end:
+            out[count] = pairs[q]
+            out[count].gaussian = pairs[q].gaussian + added
+            count += 1
+            q += 1
+        added += jump[t]
+        while r < len(more) and more[r].gaussian < targets[t].end:
+            out[count] = more[r]
+            count += 1
+            r += 1
+    return out
+
+
+@njit(**INNER)
+def _share(covariance: F8, c: int, old: int, jumps: Jumps) -> float:
+    """The probability that the velocity of hypothesis c is new; ``old``: its place in
+    ``jumps.speed``.
+    """
+    if covariance[c, 2, 2] > UNKNOWN * jumps.speed[old, 0] ** 2:
+        return jumps.fast
+    return jumps.turn
+
+
+@njit(**INNER)
 def _write_jump(
     hypotheses: Records, mean: F8, cov: F8, places: tuple[int, int], old: int, jumps: Jumps
 ) -> None:
@@ -124,9 +177,7 @@ def _write_jump(
     velocity, and its part of the weight. ``old``: the place of both in ``jumps.speed``.
     """
     c, k = places
-    share = jumps.turn
-    if cov[c, 2, 2] > UNKNOWN * jumps.speed[old, 0] ** 2:
-        share = jumps.fast
+    share = _share(cov, c, old, jumps)
     hypotheses[k].weight = share * hypotheses[c].weight
     hypotheses[k].occluded = 0.0
     hypotheses[c].weight -= hypotheses[k].weight

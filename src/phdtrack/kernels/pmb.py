@@ -41,7 +41,7 @@ from phdtrack.kernels.gaussian import (
     records,
     write_posteriors,
 )
-from phdtrack.kernels.jumps import Jumps, jumping, with_jumps
+from phdtrack.kernels.jumps import Jumps, jumped, jumping, merged_pairs, with_jumps
 
 TINY = float(np.finfo(np.float64).tiny)
 # Log odds of what is certain, in double precision.
@@ -53,6 +53,8 @@ LIMIT = 8.0
 PROVED = 3.0
 # A target that cannot be missed is missed with this probability: impossible, but comparable.
 NEVER = 1e-15
+# A new velocity is tried if, as a share of the threshold of existence, so probable.
+UNLIKELY = 0.003
 # Deleted targets whose probability to exist was never as large are not kept for the past.
 CONFIRMED = 0.05
 # How well the place of static clutter can be known, as a share of the variances by which the sensor
@@ -260,16 +262,29 @@ def updated_layer(
     )
     # Give new velocities to targets that nothing is near
     if len(jumps.speed) > 0:
-        jump = jumping(targets, mean, covariance, pairs, e, m.z, jumps)
+        jump = jumping(
+            targets, mean, covariance, pairs, e, m.z, jumps, UNLIKELY * s.existence_threshold
+        )
         if jump.any():
             targets, hypotheses, mean, covariance, e = with_jumps(
                 (targets, hypotheses, mean, covariance), jump, e, jumps
             )
             layer = Layer(targets, hypotheses, mean, covariance)
             p_detect, visible, tails = _detection_terms(hypotheses, e.p_detect, s)
-            pairs = gated(
-                e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails
+            new_velocity = np.where(jumped(targets, jump, len(hypotheses)), p_detect, 0.0)
+            more = gated(
+                e.rows,
+                e.z,
+                e.covariance,
+                e.noise,
+                m.z,
+                m.noise,
+                m.period,
+                s.gate,
+                new_velocity,
+                tails,
             )
+            pairs = merged_pairs(pairs, more, targets, jump)
     # Associate
     exists = np.empty(count)
     measured = np.empty((3, n))

@@ -48,8 +48,11 @@ PRIOR_VERDICTS = np.array([7.0, 3.0])
 _PRECISION = np.diag(PRIOR_PRECISION)
 # Detections whose being alone or not is assumed to be known at the start, none of them alone.
 FIRST_SEEN = 100.0
+# Detections near a detection that are expected before any are seen, and for how many detections
+# that counts; of about so many a frame the neighbours are counted.
 NEAR = 0.6
 NEAR_PRIOR = 30.0
+NEAR_ASKED = 32
 # Slope of the prior for ranks, and the rank that says nothing.
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
@@ -81,6 +84,8 @@ class ScoresSeen:
         there is none.
     length : (m,) frames that their chains have lasted.
     line : what is known of (a, b); None before the first verdict.
+    level : x of the best scores, see `LEVEL_FRAMES`.
+    near : how many detections were in the neighbourhood of another, and of how many.
     alone : how many detections overlapped none of the frames beside them, and of how many; old ones
         are forgotten.
     """
@@ -200,9 +205,9 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             # As plain tuples: Numba looks up the class of every named one.
             prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
             line = Line(*newton(tuple(line or prior), true, false, prior, float(KEPT)))
-        m = len(boxes)
-        fade = max(1 - m / KEPT, 0.0)
-        near = fade * state.near[0] + neighbours(boxes), fade * state.near[1] + m
+        count, asked = neighbours(boxes, NEAR_ASKED)
+        fade = max(1 - asked / KEPT, 0.0)
+        near = fade * state.near[0] + count, fade * state.near[1] + asked
         return ScoresSeen(scores, extent, boxes, waiting, length, line, alone, near, level)
 
 
