@@ -61,6 +61,8 @@ VARIANTS: Mapping[str, tuple[str, Sets]] = {
     "coast as set": ("default", {"associate": {"coast_by_evidence": False}}),
     "coast 0.12 s": ("default", {"associate": {"max_coast": 0.12}}),
     "no static clutter": ("default", {"filter": {"static_clutter_prior": 0.0}}),
+    "no new velocities": ("default", {"filter": {"turns_per_second": 0.0}}),
+    "p_D as set": ("default", {"filter": {"detection_memory": 0.0}}),
     "false alarms not counted": ("default", {"detection_scores": {"usual_alone": 1.0}}),
     "box noise 0.1": ("default", {"sensor": {"box_noise": 0.1}}),
     "box noise 0.2": ("default", {"sensor": {"box_noise": 0.2}}),

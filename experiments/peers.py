@@ -57,6 +57,8 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "neither": ("smooth.smoothing=false", "smooth.stitching=false"),
     "no occlusion of targets": ("filter.mean_visible_time=0",),
     "no static clutter": ("filter.static_clutter_prior=0",),
+    "no new velocities": ("filter.turns_per_second=0",),
+    "p_D as set": ("filter.detection_memory=0",),
     "scores not used": ("detection_scores.kind=none",),
     "no lasting clutter": ("filter.lasting_clutter_prior=0",),
     "noises as the model's": ("filter.noise_freedom=0",),
