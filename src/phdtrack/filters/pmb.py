@@ -7,7 +7,7 @@ nearest to the posterior [W15], but the hypotheses of a target are kept with the
 being replaced by their mean. So targets that cannot be separated for some frames are not blurred,
 and the past is read from the hypothesis that wins.
 
-Two things that a constant p_D does not say about detectors are hidden states of a hypothesis.
+Three things that a constant p_D does not say about detectors are hidden states of a hypothesis.
 
 *Occlusion*: misses come in rows. A visible target is detected with the sensor's p_D, an occluded
 one never. It changes at rates 1/``mean_visible_time`` and 1/``mean_occluded_time``, a Markov chain
@@ -16,8 +16,11 @@ in continuous time that is visible at a first detection.
 *Static clutter*: some false alarms come again and again in one place. A first detection is static
 clutter with probability ``static_clutter_prior``. It stays where it is, which is never known
 exactly, and is detected with probability ``static_clutter_detection_probability`` in each frame.
-What moves, or is detected more often, is soon known to be a target. Static clutter competes for
-measurements like targets do and is never reported.
+Some targets stand still, too, and are detected as often as other targets. A hypothesis that stands
+still is a target with a probability that detections raise and misses lower, [PMB (12)] and [PMB
+(13)]; a target may begin to move at any time, [PMB (11)]. What moves, or is detected in most
+frames, is soon known to be a target. Static clutter competes for measurements like targets do and
+is never reported.
 
 *Lasting clutter*: what a detector takes for a target again and again moves and is detected like
 one. Only its scores give it away. With the odds of a score s against lasting false alarms, l(s) =
@@ -31,8 +34,16 @@ target are alike, and change when it comes nearer. What high scores have once ra
 prior is genuine for good: low scores say then that it is partly hidden. Targets are present as far
 as they are genuine.
 
-Two things that a model cannot know about every stream and target are hidden states, too, where the
-settings ask for them.
+Four things that a model cannot know about every stream and target are found, where the settings ask
+for them.
+
+*How often targets are detected.* What moves and is not occluded is counted: how often it was
+detected, and how often the sensor's p_D expects it. p_D is lowered, never raised, by the ratio of
+the odds [PMB (14)].
+
+*How fast it is.* With a small probability the velocity of a target is new, of any direction and
+eight times as wide as usual [PMB (15)]. This hypothesis is added for targets that no measurement is
+near, if one in reach is near no target.
 
 *How noisy it is.* All variances of a hypothesis, of its motion and of its measurements, are c times
 the model's. What is known of 1/c is what n observations of a variance tell, a gamma distribution.
@@ -267,8 +278,8 @@ class PMB(Checked, Filter[Bernoullis]):
     def predict(
         self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator
     ) -> Bernoullis:
-        """A further layer: every hypothesis through f, with p_S of its probability; static clutter
-        stays where it is [PMB (1)].
+        """A further layer: every hypothesis through f, with p_S of its probability; what stands
+        still stays where it is [PMB (1)].
         """
         now = state.present
         factors = self.acceleration_factors
@@ -373,7 +384,7 @@ class PMB(Checked, Filter[Bernoullis]):
 
     def _learned(self, counted: tuple[float, float, float]) -> tuple[float, float]:
         """The odds of p_D, as a multiple of the sensor's, that `Bernoullis.detections` say: at most
-        1, and whatever they are.
+        1, and whatever they are [PMB (14)].
         """
         hits, chances, expected = counted
         if not (self.detection_memory and chances > 0):
@@ -452,7 +463,9 @@ class PMB(Checked, Filter[Bernoullis]):
         )
 
     def _jumps(self, now: Layer, model: Model, dt: float) -> Jumps:
-        """How the velocities of targets may be new; for none if the sensor is not linear."""
+        """How the velocities of targets may be new [PMB (15)]; for none if the sensor is not
+        linear.
+        """
         speed = NO_SPEED
         turn = 0.0
         if self.turns_per_second and self.transform == "linear":

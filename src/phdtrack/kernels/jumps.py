@@ -90,7 +90,7 @@ def with_jumps(
     before: tuple[Records, Records, F8, F8], jump: Bool, e: Expected, jumps: Jumps
 ) -> tuple[Records, Records, F8, F8, Expected]:
     """The targets, hypotheses, means and covariances with one hypothesis more for each target that
-    may ``jump`` (T,), and the measurements that they predict. The sensor is linear.
+    may ``jump`` (T,), and the measurements that they predict [PMB (15)]. The sensor is linear.
     """
     targets, hypotheses, mean, covariance = before
     count = len(hypotheses) + int(jump.sum())

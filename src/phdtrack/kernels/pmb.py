@@ -191,7 +191,7 @@ def predicted_layer(
 @njit(**INNER)
 def _depart(target: Any, hypotheses: Records, depart: float) -> None:
     """Of the weight of a target that stands still, move the part of those that begin to move by now
-    to its hypotheses that move.
+    to its hypotheses that move [PMB (11)].
     """
     moving = 0.0
     moves = 0.0
@@ -345,7 +345,7 @@ def _detections(
     before: tuple[Records, Records, F8], visible: F8, p_detect: F8, pairs: Records, exists: F8
 ) -> tuple[float, float, float]:
     """Of the targets that move and are not occluded, how many were detected, how many there were,
-    and how many detections the sensor's ``p_detect`` (C,) expects of them.
+    and how many detections the sensor's ``p_detect`` (C,) expects of them [PMB (14)].
 
     ``before``, ``pairs`` and ``exists`` are as of `_associate`, after it. What stands still may be
     clutter and tells nothing.
@@ -380,8 +380,9 @@ def _detections(
 
 @njit(**INNER)
 def _detection_terms(hypotheses: Records, p_detect: F8, s: Settings) -> tuple[F8, F8, F8]:
-    """(C,) p_D of each hypothesis, which may be occluded or static clutter; (C,) p_D of a target
-    that may be occluded; and (C, 3) what is known of its noises, (0, 3) if they are the model's.
+    """(C,) p_D of each hypothesis, which may be occluded or static clutter [PMB (12)]; (C,) p_D of
+    a target that may be occluded; and (C, 3) what is known of its noises, (0, 3) if they are the
+    model's.
 
     ``p_detect`` (C,) is the sensor's.
     """
@@ -754,7 +755,8 @@ def _write_kept(
 def _write_hypothesis(
     h: Any, before: Any, option: Any, visible: float, scores: Scores, s: Settings, sizes: bool
 ) -> None:
-    """Write what becomes of a hypothesis ``before`` with an option, except target and weight.
+    """Write what becomes of a hypothesis ``before`` with an option, except target and weight
+    [PMB (13)].
 
     ``visible`` is p_D of a target that may be occluded.
     """

@@ -15,9 +15,13 @@ itself would call false whatever it does not follow, and confirm its own doubts.
 step of Newton's method on the posterior of (a, b), a Gaussian with the precision of what was seen
 so far; what is old is forgotten. Where all scores are the same they say nothing.
 
+Detectors differ in how high their best scores are. If those of a stream are below 0.8, all of its x
+are raised until they are not.
+
 How many false alarms there are is learned, too: few detections of targets overlap one neither of
 the frame before nor of the next. If more than the share `DetectionScores.usual_alone` are alone,
-false alarms are as much more than the model says.
+false alarms are as much more than the model says. Those near a box are no more than the boxes that
+are near a box: where these are fewer than `NEAR`, false alarms are as much fewer.
 
 False alarms that last, as of a poster or of one's own mirror image, are linked like targets, so
 that nothing is learned of them. Against these a score is read as the probability that it claims to
@@ -84,7 +88,7 @@ class ScoresSeen:
         there is none.
     length : (m,) frames that their chains have lasted.
     line : what is known of (a, b); None before the first verdict.
-    level : x of the best scores, see `LEVEL_FRAMES`.
+    level : x of the best scores, see `LEVEL_FRAMES`; −∞ before there are any.
     near : how many detections were in the neighbourhood of another, and of how many.
     alone : how many detections overlapped none of the frames beside them, and of how many; old ones
         are forgotten.
@@ -172,7 +176,9 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         return ScoresSeen()
 
     def with_scores(self, state: ScoresSeen, model: Model, detections: Detections) -> Model:
-        """The model whose false alarms are weighed by the scores of the detections."""
+        """The model whose false alarms are weighed by the scores of the detections, and as many as
+        this stream shows [PMB (16)].
+        """
         single, lasting = self.log_odds(detections.confidence, state)
         more = max(state.alone[0] / state.alone[1] / self.usual_alone, 1.0)
         near, seen = state.near
@@ -213,7 +219,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
 
 def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8, F8, float]:
     """The extent of all scores, their kind, x of those (n,) of a frame, NaN where they say nothing,
-    what is ranked, and the level of the best scores.
+    what is ranked, and the level of the best scores [PMB (17)].
     """
     low, high, kind, x = scaled(
         np.ascontiguousarray(score), *state.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST
