@@ -270,7 +270,9 @@ def test_false_alarms_are_learned_from_detections_that_are_alone(false: int):
     seen = (3 + false) * (frames - 1)
     kept = min(seen, KEPT)
     share = false / (3 + false) * kept / (kept + 100)
-    np.testing.assert_allclose(told, 2.0 * max(share / rule.usual_alone, 1.0), rtol=0.05)
+    # None has a neighbour: near a box a 20th of the false alarms is left.
+    wanted = 0.05 * 2.0 * max(share / rule.usual_alone, 1.0)
+    np.testing.assert_allclose(told, wanted, rtol=0.05)
 
 
 def found_with(low: float) -> tuple[list[set[int]], Tracker]:
