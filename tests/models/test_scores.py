@@ -26,7 +26,14 @@ from phdtrack.kernels.detection_scores import (
     scaled,
 )
 from phdtrack.models.clutter import ScoredClutter, UniformClutter
-from phdtrack.models.detection_scores import BOUND, EVEN_LOGIT, KEPT, DetectionScores, ScoresSeen
+from phdtrack.models.detection_scores import (
+    BOUND,
+    EVEN_LOGIT,
+    GOOD,
+    KEPT,
+    DetectionScores,
+    ScoresSeen,
+)
 from phdtrack.protocols import Model
 from phdtrack.types import Detections, SequenceInfo
 
@@ -109,11 +116,12 @@ def test_of_scores_on_another_scale_the_rank_counts(scores: list[int], first: in
 @settings(deadline=None)
 @given(st.lists(st.floats(-3, 15), min_size=1, max_size=20))
 def test_scores_of_which_some_are_negative_are_log_odds(scores: list[float]):
-    """They say by how much they exceed what says nothing, up to a probability of 0.999; one of 100
-    makes them ranks.
+    """They say by how much they exceed what says nothing, up to a probability of 0.999, and are
+    raised if the best is below `GOOD`; one of 100 makes them ranks.
     """
     score = np.array([-0.8, *scores, np.nan])
     wanted = np.append(np.clip(score[:-1] - EVEN_LOGIT, -BOUND, BOUND), 0)
+    wanted[:-1] += max(GOOD - wanted[:-1].max(), 0)
     single, lasting = RULE.log_odds(score, FIRST)
     np.testing.assert_allclose(lasting, wanted)
     np.testing.assert_allclose(single, np.clip(wanted, -np.log(400), np.log(400)))

@@ -384,7 +384,7 @@ class PMB(Checked, Filter[Bernoullis]):
 
     def _learned(self, counted: tuple[float, float, float]) -> tuple[float, float]:
         """The odds of p_D, as a multiple of the sensor's, that `Bernoullis.detections` say: at most
-        1, and whatever they are [PMB (14)].
+        1, and whatever they are.
         """
         hits, chances, expected = counted
         if not (self.detection_memory and chances > 0):

@@ -190,8 +190,8 @@ def predicted_layer(
 
 @njit(**INNER)
 def _depart(target: Any, hypotheses: Records, depart: float) -> None:
-    """Of the weight of a target that stands still, move the part of those that begin to move by now
-    to its hypotheses that move [PMB (11)].
+    """Move the weight of a standing target that begins to move by now to its hypotheses that move
+    [PMB (11)].
     """
     moving = 0.0
     moves = 0.0
@@ -344,8 +344,8 @@ def updated_layer(
 def _detections(
     before: tuple[Records, Records, F8], visible: F8, p_detect: F8, pairs: Records, exists: F8
 ) -> tuple[float, float, float]:
-    """Of the targets that move and are not occluded, how many were detected, how many there were,
-    and how many detections the sensor's ``p_detect`` (C,) expects of them [PMB (14)].
+    """Number of detections of targets that move and are not occluded, of chances to detect them,
+    and of detections that the sensor's ``p_detect`` (C,) expects [PMB (14)].
 
     ``before``, ``pairs`` and ``exists`` are as of `_associate`, after it. What stands still may be
     clutter and tells nothing.
