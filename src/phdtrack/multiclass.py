@@ -25,6 +25,7 @@ import numpy as np
 from phdtrack import pipeline
 from phdtrack.detect.convert import MAX_CLASSES, DiscardedBoxes, Limits
 from phdtrack.kernels.grid import uncrowded
+from phdtrack.models.warp import joined
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, STILL, Bool, Detections, Step, Tracks
@@ -244,8 +245,9 @@ class _ClassPipeline:
         self.highest = max(self.highest, int(rows.identity.max(initial=0)))
         if not self.together:
             return replace(step, tracks=_with_class(rows, label))
-        frame = (number, detections.row, detections.class_id, detections.confidence)
-        self.waiting = (*self.waiting, frame)
+        if detections.observed:
+            frame = (number, detections.row, detections.class_id, detections.confidence)
+            self.waiting = (*self.waiting, frame)
         self._count(rows, self.votes)
         while len(self.votes) > _MAX_VOTES:
             del self.votes[next(iter(self.votes))]
@@ -348,13 +350,17 @@ class ClassPipelines:
         detections, number, time, warp : see `pipeline.advance`, also for errors.
         """
         labels = self.classes.tracked_as(detections)
-        self._open(np.unique(labels).tolist())
+        if detections.observed:
+            self._open(np.unique(labels).tolist())
         pipelines = self._all
         steps = list[Step]()
         for label, one in pipelines.items():
             own = detections if len(pipelines) == 1 else detections.select(labels == label)
             steps.append(one.advance(label, own, number, time, warp, self.highest))
             self.highest = one.highest
+        if self._past and not self._past[-1][3]:
+            # Frames without detection change nothing but the camera's place.
+            warp = joined([self._past.pop()[2], warp])
         self._past.append((number, time, warp, detections.observed))
         if len(steps) == 1:
             return steps[0]

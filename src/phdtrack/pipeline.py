@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.models.warp import after as after_warps
-from phdtrack.models.warp import as_warp, back
+from phdtrack.models.warp import as_warp, back, joined
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import (
     F8,
@@ -44,12 +43,14 @@ class TrackingState:
     intensity, association : the filter's and the associator's state.
     number, time : of the last frame; seconds.
     observed, observed_time : of the last frame that was observed, 0 before there was one.
-    pending : (3, 3) how the camera has moved since then; `types.STILL`: not at all.
+    pending, moved : (3, 3) the camera's motion since then as it was given, and as it was found;
+        `types.STILL` for none.
     targets : (d, n) the last frame's states, if the sensor asks which targets hide which; empty
         otherwise.
     detection_scores : what scores have taught; None without that stage.
     expected_targets : the targets that merged measurements are divided by; None without that stage.
-    intervals : how many intervals between observed frames there were, and the sum of the logarithms of their seconds.
+    intervals : the number of intervals between observed frames so far, and the sum of the
+        logarithms of their seconds.
     online_boxes : what the boxes of online rows have taught; None if they are the filter's.
     camera : what is known of the camera's motion; None if it is not looked for.
     """
@@ -61,6 +62,7 @@ class TrackingState:
     observed: int = 0
     observed_time: float = 0.0
     pending: F8 = field(default_factory=lambda: STILL)
+    moved: F8 = field(default_factory=lambda: STILL)
     targets: F8 = field(default_factory=lambda: NO_STATES)
     detection_scores: Any = None
     expected_targets: Any = None
@@ -116,11 +118,7 @@ def advance(
     # Measure
     z = stages.model.sensor.measure(detections)
     camera, model = _with_camera_motion(stages, state, z, warp, (number, time))
-    if stages.detection_scores:
-        model = stages.detection_scores.model(state.detection_scores, model)
-    intervals, dt, pace = _interval(stages, state, time, model)
-    if pace < 1.0:
-        model = replace(model, pace=pace)
+    intervals, dt, model = _with_pace(stages, state, time, model)
     began = clock.perf_counter()
     targets, divided, z = _explained(stages, state, detections, z, model, dt)
     usable = np.asarray(np.isfinite(z).all(axis=0))
@@ -167,7 +165,7 @@ def advance(
         tracks,
         (updated - began, extracted - updated, clock.perf_counter() - extracted),
         int(np.count_nonzero(~usable)),
-        _since_last(state.pending, model.warp),
+        _since_last(state.moved, model.warp),
     )
 
     # Learn
@@ -183,6 +181,7 @@ def advance(
         time,
         number,
         time,
+        STILL,
         STILL,
         estimates.state if model.sensor.occlusion else NO_STATES,
         scores,
@@ -212,7 +211,7 @@ def _unobserved(
     z = stages.model.sensor.measure(nothing)
     began = clock.perf_counter()
     _, model = _with_camera_motion(stages, state, z, warp, when)
-    dt = _interval(stages, state, time, model)[1]
+    _, dt, model = _with_pace(stages, state, time, model)
     ahead = stages.filter.predict(state.intensity, model, dt, deepcopy(rng))
     predicted = clock.perf_counter()
     estimates = stages.extractor.extract(ahead, z, model)
@@ -226,7 +225,6 @@ def _unobserved(
         )
         if stages.online:
             online_boxes, tracks = stages.online.shown(online_boxes, tracks)
-    moved = _since_last(state.pending, model.warp)
     step = Step(
         number,
         time,
@@ -235,14 +233,15 @@ def _unobserved(
         estimates,
         tracks,
         (predicted - began, extracted - predicted, clock.perf_counter() - extracted),
-        warp=moved,
+        warp=_since_last(state.moved, model.warp),
     )
     after = replace(
         state,
         association=association,
         number=number,
         time=time,
-        pending=_joined(_checked_warp(warp, number), state.pending),
+        pending=_since_observed(state, warp, number),
+        moved=model.warp,
         online_boxes=online_boxes,
     )
     return after, step
@@ -260,63 +259,70 @@ def _explained(
     return targets, divided, z
 
 
-def _interval(
+def _with_pace(
     stages: AnyStages, state: TrackingState, time: float, model: Model
-) -> tuple[tuple[int, float], float, float]:
+) -> tuple[tuple[int, float], float, Model]:
     """`TrackingState.intervals`, the interval since the last observed frame in the model's time
-    units, and `Model.pace`.
+    units, and the model with its `Model.pace`.
 
     Streams of few frames a second show slow things: if the usual interval, the geometric mean, is
     longer than ``Stages.longest_interval``, the filter's time runs slower, so that the usual
     interval is as long as that.
     """
     if state.observed == 0:
-        return (0, 0.0), model.first, 1.0
+        return (0, 0.0), model.first, model
     seconds = time - state.observed_time
     count = state.intervals[0] + 1
     logs = state.intervals[1] + math.log(seconds)
-    factor = stages.longest_interval / math.exp(logs / count)
+    pace = stages.longest_interval / math.exp(logs / count)
     # Within rounding an interval of 0.2 s is 0.2 s.
-    if not 0 < factor <= 1 - 1e-6:
-        factor = 1.0
-    return (count, logs), seconds * factor * model.rate, factor
+    if not 0 < pace <= 1 - 1e-6:
+        return (count, logs), seconds * model.rate, model
+    return (count, logs), seconds * pace * model.rate, replace(model, pace=pace)
 
 
 def _with_camera_motion(
     stages: AnyStages, state: TrackingState, z: F8, warp: F8, when: tuple[int, float]
 ) -> tuple[Any, Model]:
-    """The state of the camera's motion, and the model with that since the last observed frame.
+    """The state of the camera's motion, and the model that scores have taught with the motion since
+    the last observed frame.
 
     The motion is ``warp``, or what the measurements ``z`` (m, N) show; ``when`` is number and time.
     """
-    if not state.observed:
-        return state.camera, stages.model
-    warp = _joined(_checked_warp(warp, when[0]), state.pending)
     camera = state.camera
+    model = stages.model
+    if stages.detection_scores:
+        model = stages.detection_scores.model(state.detection_scores, model)
+    if not state.observed:
+        return camera, model
+    warp = _since_observed(state, warp, when[0])
     if stages.camera:
         interval = (when[1] - state.observed_time) * stages.model.rate
         camera, warp = stages.camera.between(camera, z, stages.model, interval, warp)
     if len(warp):
-        return camera, replace(stages.model, warp=warp)
-    return camera, stages.model
+        model = replace(model, warp=warp)
+    return camera, model
 
 
-def _checked_warp(warp: F8, number: int) -> F8:
-    """The checked motion of the camera since the frame before frame ``number``."""
-    return as_warp(warp, f"frame {number}") if len(warp) else warp
+def _since_observed(state: TrackingState, warp: F8, number: int) -> F8:
+    """The camera's given motion since the last observed frame: ``warp`` after what is pending.
+
+    Before the first observed frame there is nothing to move. Raises `InputError` if the motion
+    ``warp`` to frame ``number`` is no homography.
+    """
+    if len(warp):
+        warp = as_warp(warp, f"frame {number}")
+    if not state.observed:
+        return STILL
+    return joined([state.pending, warp])
 
 
-def _joined(warp: F8, before: F8) -> F8:
-    """The camera's motion ``warp`` after that ``before``; `types.STILL` is none."""
-    if len(warp) and len(before):
-        return after_warps([before, warp])
-    return warp if len(warp) else before
-
-
-def _since_last(pending: F8, warp: F8) -> F8:
-    """The part of the motion ``warp`` that is not in ``pending``, which came before."""
-    if len(warp) and len(pending):
-        return after_warps([back(pending), warp])
+def _since_last(moved: F8, warp: F8) -> F8:
+    """The part of the motion ``warp`` since the last observed frame that is not in ``moved``, that
+    up to the frame before.
+    """
+    if len(moved):
+        return joined([back(moved), warp])
     return warp
 
 

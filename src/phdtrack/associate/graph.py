@@ -20,6 +20,7 @@ identity, the one that is linked to its last state has it.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -54,7 +55,6 @@ from phdtrack.protocols import Model
 from phdtrack.types import (
     F8,
     I8,
-    STILL,
     Bool,
     Detections,
     Estimates,
@@ -122,6 +122,50 @@ class OnlineTracks:
     known: Identities
     returned: I8 = field(default_factory=lambda: np.zeros((2, AGES), np.int64))
     used: int = 0
+
+
+class BackDated(NamedTuple):
+    """The earlier detections that lead to a track's first state.
+
+    Attributes
+    ----------
+    path : (n) places (observed moment, `Detections.row`), latest first.
+    mean, covariance : (n + 1, d), (n + 1, d, d) the first state, and those at the places.
+    """
+
+    path: Path
+    mean: F8
+    covariance: F8
+
+    def rows(self, observed: list[Moment], identity: int, weight: float, model: Model) -> Tracks:
+        """The rows at the detections."""
+        frames, detections = np.array([(observed[k].number, row) for k, row in self.path]).T
+        boxes = model.sensor.boxes(np.ascontiguousarray(self.mean[1:].T))
+        return Tracks.of(frames, identity, boxes, weight, detections)
+
+    def unobserved_rows(
+        self, moments: list[Moment], places: list[int], identity: int, weight: float, model: Model
+    ) -> list[Tracks]:
+        """The rows in the unobserved frames between, with the states at ``places`` (n + 1) of
+        ``moments``.
+        """
+        parts = []
+        for k, (later, earlier) in enumerate(itertools.pairwise(places)):
+            between = moments[earlier : later + 1]
+            if len(between) == 2:
+                continue
+            before = slice(k + 1, k + 2)
+            after = slice(k, k + 1)
+            state = self.mean
+            covariance = self.covariance
+            ends = (state[before], covariance[before], state[after], covariance[after])
+            steps = np.diff([moment.time for moment in between])
+            warps = [moment.warp for moment in between[1:]]
+            found = bridge(model.motion, ends, steps, warps)[:, 0]
+            frames = np.array([moment.number for moment in between[1:-1]])
+            boxes = model.sensor.boxes(np.ascontiguousarray(found))
+            parts.append(Tracks.of(frames, identity, boxes, weight, -1))
+        return parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,25 +294,26 @@ class GraphMatching(Checked):
             ([0], np.cumsum([len(m.estimates) for m in moments], dtype=np.int64))
         )
         observed = observed_only(moments)
-        place = np.cumsum([moment.observed for moment in moments]) - 1
+        seen = np.flatnonzero([moment.observed for moment in moments])
         parts = list[Tracks]()
         taken = set[tuple[int, int]]()
         at = list[int]()
         name = list[int]()
         identity = 1
         for path in self._paths(moments, state.window):
-            first = int(place[path[0][0]]), path[0][1]
-            before, boxes = _back_dated(observed, first, self.back_dating, taken, model)
-            n = len(before)
-            if len(path) + n < self.min_track_length:
+            first = int(np.searchsorted(seen, path[0][0])), path[0][1]
+            before = _back_dated(observed, first, self.back_dating, taken, model)
+            if len(path) + len(before.path) < self.min_track_length:
                 continue
-            taken.update(before)
+            taken.update(before.path)
             at += [int(start[k]) + i for k, i in path]
             name += [identity] * len(path)
-            if n:
-                numbers, detections = np.array([(observed[k].number, j) for k, j in before]).T
-                weight = observed[first[0]].estimates.weight[first[1]]
-                parts.append(Tracks.of(numbers, identity, boxes, weight, detections))
+            weight = observed[first[0]].estimates.weight[first[1]]
+            if before.path:
+                parts.append(before.rows(observed, identity, weight, model))
+            if before.path and self.bridge_gaps:
+                places = seen[[first[0], *(k for k, _ in before.path)]].tolist()
+                parts += before.unobserved_rows(moments, places, identity, weight, model)
             identity += 1
         parts += rows_of(
             moments, np.array(at, np.int64), np.array(name, np.int64), self.bridge_gaps, model
@@ -430,9 +475,9 @@ class GraphMatching(Checked):
         since = place - 1
         while since > state.history.forgotten and not state.history[since].observed:
             since -= 1
-        warps = [state.history[k].warp for k in range(since + 1, place + 1)]
-        if any(len(warp) for warp in warps):
-            ahead = model.motion.warp_states(ahead, warp_of.after(warps))
+        warp = warp_of.joined([state.history[k].warp for k in range(since + 1, place + 1)])
+        if len(warp):
+            ahead = model.motion.warp_states(ahead, warp)
         step = moment.time - state.history[since].time
         ahead, _, _ = model.motion.transition(ahead, step)
         survive = model.motion.p_survive(ahead, step / model.rate)
@@ -468,16 +513,18 @@ class GraphMatching(Checked):
     def _max_frames(
         self, state: GraphState, place: int, probability: list[float], model: Model
     ) -> int:
-        """For how many frames without a state tracks are continued: while more come back than do
-        not, and ``max_coast``.
+        """For how many observed frames without a state tracks are continued: while more come back
+        than do not, and ``max_coast``. −1 for none, not even those of the last observed frame.
         """
-        most = 0
-        ahead = len(state.history) - 1 - place
         history = state.history
         longest = self.max_coast * model.rate + 1e-9
-        while most + 1 + ahead < AGES and probability[most + 1 + ahead] > 0.5:
-            earlier = place - most - 1
-            if earlier < history.forgotten or state.time - history[earlier].time > longest:
+        now = max(state.time, history[place].time)
+        ages = iter(probability[sum(history[k].observed for k in range(place + 1, len(history))) :])
+        most = -1
+        for earlier in range(place, history.forgotten - 1, -1):
+            if not history[earlier].observed:
+                continue
+            if now - history[earlier].time > longest or next(ages, 0.0) <= 0.5:
                 break
             most += 1
         return most
@@ -632,9 +679,7 @@ def _bridged(
         j = vertex - a.first
         k = later - b.first
         warps = [
-            warp_of.after([history[m].warp for m in between])
-            if any(len(history[m].warp) for m in between)
-            else STILL
+            warp_of.joined([history[m].warp for m in between])
             for between in (range(behind + 1, place + 1), range(place + 1, ahead + 1))
         ]
         ends = (
@@ -660,9 +705,8 @@ def _back_dated(
     most: int,
     taken: set[tuple[int, int]],
     model: Model,
-) -> tuple[Path, F8]:
-    """Places (moment, `Detections.row`) of the detections that lead to a track's first state,
-    latest first, and its boxes there.
+) -> BackDated:
+    """The detections that lead to a track's first state.
 
     A filter that removes clutter confirms a target only after some coherent detections. Here a
     Kalman filter runs backward in time from the first state: predict by the inverse transition,
@@ -674,7 +718,8 @@ def _back_dated(
     cov = moments[place].estimates.covariance[i]
     rows = np.array(model.sensor.observed)
     path: Path = []
-    states = [np.zeros((len(state), 0))]
+    states = [state]
+    covs = [cov]
     for k in range(place - 1, max(-1, place - 1 - most), -1):
         earlier = moments[k]
         used = set(earlier.rows.tolist())
@@ -699,14 +744,13 @@ def _back_dated(
         best = int(np.argmin(distance2))
         if distance2[best] > REGION:
             break
-        means, covs = update(
+        (state,), (cov,) = update(
             state[None], cov[None], seen[rows, best][None], noise[best][None], rows
         )
-        state = means[0]
-        cov = covs[0]
         path.append((k, int(earlier.row[free[best]])))
-        states.append(state[:, None])
-    return path, model.sensor.boxes(np.hstack(states))
+        states.append(state)
+        covs.append(cov)
+    return BackDated(path, np.stack(states), np.stack(covs))
 
 
 def _one_frame_back(state: F8, cov: F8, later: Moment, dt: float, model: Model) -> tuple[F8, F8]:

@@ -153,9 +153,10 @@ def next_moment(
     """
     if not gap:
         return (), moment
-    if len(moment.warp) or any(len(one.warp) for one in gap):
-        whole = moment.warp if len(moment.warp) else np.eye(3)
-        moment = replace(moment, warp=whole @ warp_of.back(warp_of.after([m.warp for m in gap])))
+    before_it = warp_of.joined([one.warp for one in gap])
+    if len(before_it):
+        last = warp_of.joined([warp_of.back(before_it), moment.warp])
+        moment = replace(moment, warp=last)
     if before is None or gap[-1].time < moment.time:
         return tuple(gap), moment
     since = before.time
@@ -170,8 +171,8 @@ def observed_only(moments: Sequence[Moment]) -> list[Moment]:
     for moment in moments:
         warps.append(moment.warp)
         if moment.observed:
-            if len(warps) > 1 and any(len(one) for one in warps):
-                moment = replace(moment, warp=warp_of.after(warps))
+            if len(warps) > 1:
+                moment = replace(moment, warp=warp_of.joined(warps))
             out.append(moment)
             warps.clear()
     return out

@@ -14,12 +14,14 @@ upright before and after; a zoom scales both sides equally.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import warped_slopes, warped_states
-from phdtrack.types import F8
+from phdtrack.types import F8, STILL
 
 # Limits of det A: no camera shrinks or enlarges an image more from one frame to the next.
 _SCALES = (1e-4, 1e4)
@@ -94,3 +96,10 @@ def after(warps: list[F8]) -> F8:
         if len(warp):
             whole = warp @ whole
     return np.asarray(whole / whole[2, 2])
+
+
+def joined(warps: Sequence[F8]) -> F8:
+    """The same; `types.STILL` if all are."""
+    if any(len(warp) for warp in warps):
+        return after(list(warps))
+    return STILL
