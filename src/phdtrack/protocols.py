@@ -204,8 +204,8 @@ class Model:
     is the interval before the first frame, in time units: what happens in it is predicted and born
     then.
 
-    ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes
-    pixels of that frame to this one's; `types.STILL` where it stands still. States are warped
+    ``warp`` (3, 3) is how the camera has moved since the last observed frame: the homography that
+    takes pixels of that frame to this one's; `types.STILL` where it stands still. States are warped
     before they are predicted.
 
     ``pace`` is how fast the filter's time runs: at 1 as the clock, at 0.2 a fifth as fast
@@ -333,9 +333,12 @@ class Associator(Protocol[A]):
     ) -> tuple[A, Tracks]:
         """The state with those of frame ``number``, and the online rows that are now final.
 
+        If the detections are not observed, the estimates are predicted from the last observed
+        frame: they continue tracks in this frame's rows, and change nothing that follows.
+
         Parameters
         ----------
-        state, dt : of the frame before, and the model time since then.
+        state, dt : of the frame before, and the model time since the last observed frame.
         estimates, number : the extracted states and the frame number.
         z, detections : the (m, N) measurements, and what was measured; rows of tracks name a
             detection by its ``row``.

@@ -133,6 +133,24 @@ def test_unobserved_frames_under_a_turning_camera(kind: str) -> None:
     check_same(corrected, observed(smoothed), tolerance=0.02)
 
 
+@pytest.mark.parametrize("second", [0, 2, 7])
+def test_later_classes_begin_the_same_with_unobserved_frames(second: int) -> None:
+    def classed(updates: list[Update]) -> list[Update]:
+        out = []
+        for update in updates:
+            found = update.found
+            if isinstance(found, np.ndarray):
+                label = np.where(found[:, 1] > 250, second, 0)
+                found = np.column_stack([found, np.full(len(found), 0.9), label])
+            out.append(update._replace(found=found))
+        return out[20:] if len(out) > OBSERVED else out[4:]
+
+    numbered = fed(tracker_of("pmb"), classed(left_out(MOVING)))
+    marked = fed(tracker_of("pmb"), [Update(UNSEEN, 20, None), *classed(unobserved(MOVING))])
+    for rows, others in zip(numbered, marked, strict=True):
+        check_same(rows, observed(others))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_unobserved_frames_before_the_first_change_nothing(kind: str) -> None:
     plain = tracker_of(kind)

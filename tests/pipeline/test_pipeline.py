@@ -1,4 +1,4 @@
-"""The loop: its order, true intervals, frames that nobody looked at, and errors before anything
+"""The loop: its order, true intervals, unobserved frames, and errors before anything
 changes.
 """
 
@@ -92,13 +92,32 @@ def test_intervals_are_those_of_the_times(
     assert [call[6] for call in calls if call[0] == "extend"] == pytest.approx(intervals)
 
 
-def test_a_frame_that_nobody_looked_at_is_only_predicted(rng):
+def test_an_unobserved_frame_is_only_predicted(rng):
     stages, calls = recorded()
     unseen = Detections(BOX.xyxy, BOX.confidence, BOX.class_id, observed=False)
-    _, step = advanced(stages, calls, [(1, 0.0, unseen)], rng)
-    assert [name for name, *_ in calls] == ["predict", "extract", "extend", "oldest"]
+    before, step = advanced(stages, calls, [(1, 0.0, unseen)], rng)
+    # Before the first observed frame there is no track to show.
+    assert [name for name, *_ in calls] == ["predict", "extract"]
     assert len(step.estimates) == 0, "its boxes are not taken up"
     assert len(step.info.evidence) == len(step.info.clutter) == 0
+    state, _ = pipeline.advance(stages, before, BOX, 2, 0.04, rng)
+    calls.clear()
+    after, _ = pipeline.advance(stages, state, unseen, 3, 0.08, rng)
+    assert [name for name, *_ in calls] == ["predict", "extract", "extend"]
+    assert after.intensity is state.intensity
+    assert (after.number, after.time) == (3, 0.08)
+    assert (after.observed, after.observed_time) == (2, 0.04)
+
+
+def test_intervals_are_those_since_the_last_observed_frame(rng):
+    stages, calls = recorded()
+    unseen = Detections.empty(observed=False)
+    frames = [(1, 0.0, BOX), (2, 0.04, unseen), (3, 0.08, unseen), (4, 0.12, BOX)]
+    advanced(stages, calls, frames, rng)
+    intervals = [call[4] for call in calls if call[0] == "step"]
+    assert intervals == pytest.approx([1, 3])
+    assert [call[3] for call in calls if call[0] == "predict"] == pytest.approx([1, 2])
+    assert [call[6] for call in calls if call[0] == "extend"] == pytest.approx([1, 1, 2, 3])
 
 
 KINDS = {
@@ -121,23 +140,20 @@ def test_an_empty_frame_is_not_an_unobserved_one(stages, rng):
     for k in range(1, 11):
         state, _ = pipeline.advance(stages, state, BOX, k, k / 25, rng)
     before = state.intensity.mass
-    empty, _ = pipeline.advance(stages, state, Detections.empty(), 11, 11 / 25, rng)
     unseen, step = pipeline.advance(
         stages, state, Detections.empty(observed=False), 11, 11 / 25, rng
     )
+    empty, _ = pipeline.advance(stages, state, Detections.empty(), 11, 11 / 25, rng)
     survival = stages.model.motion.survival_probability ** (1 / 25)
     p_d = stages.model.sensor.detection_probability
-    assert unseen.intensity.mass == pytest.approx(before * survival)
+    assert unseen.intensity is state.intensity
+    assert step.info.mass == pytest.approx(before * survival)
     if isinstance(stages.filter, ParticlePHD):
         assert empty.intensity.mass == pytest.approx(before * survival * (1 - p_d))
     else:
         # One who may be hidden: at least what would be left of somebody in view for certain.
         missed = before * survival * (1 - p_d)
-        assert (
-            missed / (missed + 1 - before * survival)
-            <= empty.intensity.mass
-            < unseen.intensity.mass
-        )
+        assert missed / (missed + 1 - before * survival) <= empty.intensity.mass < step.info.mass
     assert len(step.estimates) == 1
     assert step.estimates.detection.tolist() == [-1]
 
