@@ -321,6 +321,11 @@ class ClassPipelines:
         return {label: one.state for label, one in self._pipelines.items()}
 
     @property
+    def several(self) -> bool:
+        """True if detections of several classes have been seen that are tracked apart."""
+        return len(self._pipelines) > 1
+
+    @property
     def oldest(self) -> int:
         """The number of the first frame that any of them remembers."""
         return min(

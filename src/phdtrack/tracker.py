@@ -15,8 +15,9 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,14 +26,24 @@ from phdtrack import config, pipeline
 from phdtrack.associate.history import HISTORY
 from phdtrack.detect.convert import DiscardedBoxes, as_detections, unit_warning
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
+from phdtrack.input_checks import StreamSeen, checks_of
 from phdtrack.models.warp import as_warp
 from phdtrack.multiclass import ClassPipelines, ClassSettings
 from phdtrack.protocols import AnyStages
-from phdtrack.types import LAST_FRAME, STILL, Detections, SequenceInfo, Step, Tracks
+from phdtrack.types import I8, LAST_FRAME, STILL, Detections, SequenceInfo, Step, Tracks
 
 _LOG = logging.getLogger(__name__)
 # The keys of a saved state.
 _SAVED = {"format", "frame_size", "dim", "settings", "state"}
+# Stands for the classes of detections that are all of one.
+_ONE_CLASS: I8 = np.zeros(0, np.int64)
+
+
+class SavedWarnings(NamedTuple):
+    """The warnings so far, except those of boxes left out, and whether one was of units."""
+
+    sentences: tuple[str, ...] = ()
+    of_units: bool = False
 
 
 class Tracker:
@@ -56,6 +67,11 @@ class Tracker:
         and seed; `ClassSettings` where classes have stages of their own.
     **sections : settings by section, as ``sensor={"detection_probability": 0.9}``;
         ``classes={"together": [[2, 7]]}`` for a detector's classes, which are tracked apart.
+
+    Attributes
+    ----------
+    on_warning : called with each warning, a sentence with its cure; by default the logger
+        ``phdtrack.tracker`` has them.
 
     Raises
     ------
@@ -105,6 +121,8 @@ class Tracker:
         self.fps = float(fps)
         self.seed = int(seed)
         self.sequences = 0
+        self.on_warning: Callable[[str], None] = _LOG.warning
+        self._checks = checks_of(self.classes, self.fps)
         self.reset()
 
     def reset(self) -> None:
@@ -116,7 +134,8 @@ class Tracker:
         self._left_out = DiscardedBoxes()
         self._begun = math.nan
         self._first = 0
-        self._warned_of_units = False
+        self._warnings = SavedWarnings()
+        self._seen = StreamSeen()
         self.sequences += 1
 
     def update(
@@ -161,7 +180,8 @@ class Tracker:
         tracked, left_out = self.classes.within_limits(found, self._pipelines.states)
         with uninterrupted():
             self._step = self._pipelines.advance(tracked, number, time, moved)
-        self._warn(number, time, found, left_out)
+            doubts = self._check(self._step)
+        self._warn(number, time, found, left_out, doubts)
         self._left_out = self._left_out.with_more(left_out)
         return self._step.tracks
 
@@ -180,17 +200,42 @@ class Tracker:
             return number, _number(timestamp, f"frame {number}, update(timestamp=…)")
         return number, last.time + (number - (last.number or 1)) / self.fps
 
-    def _warn(self, number: int, time: float, found: Detections, left_out: DiscardedBoxes) -> None:
-        """Warn of what is new in a frame: boxes left out, implausible units, forgotten frames."""
+    def _check(self, step: Step) -> tuple[str, ...]:
+        """Check whether the stream fits what is assumed of it: warnings if not."""
+        labels = _ONE_CLASS
+        if self._pipelines.several:
+            labels = self.classes.tracked_as(step.detections)
+        self._seen, doubts = self._checks.advance(self._seen, step, labels)
+        return doubts
+
+    def _warn(
+        self,
+        number: int,
+        time: float,
+        found: Detections,
+        left_out: DiscardedBoxes,
+        doubts: tuple[str, ...],
+    ) -> None:
+        """Warn of what is new in a frame: boxes left out, implausible units, doubts, and forgotten
+        frames.
+        """
         # Boxes of classes that were not selected are left out as asked.
         for sentence in left_out.sentences(self._left_out._replace(unwanted=1)):
-            _LOG.warning("frame %d: %s", number, sentence)
-        if not self._warned_of_units:
+            self.on_warning(f"frame {number}: {sentence}")
+        if not self._warnings.of_units:
             warning = unit_warning(found, self.classes.limits.frame_size)
-            self._warned_of_units = bool(warning)
             if warning:
-                _LOG.warning("frame %d: %s", number, warning)
+                self._warnings = self._warnings._replace(of_units=True)
+                self._say(f"frame {number}: {warning}")
+        for warning in doubts:
+            self._say(f"frame {number}: {warning}")
         self._warn_of_forgetting(number, time)
+
+    def _say(self, sentence: str) -> None:
+        """Warn, and remember it."""
+        kept = (*self._warnings.sentences, sentence)
+        self._warnings = self._warnings._replace(sentences=kept)
+        self.on_warning(sentence)
 
     def warm_up(self) -> None:
         """Compile the kernels that these settings use, or load those that are kept, now and not in
@@ -202,6 +247,7 @@ class Tracker:
         two.
         """
         pipelines = ClassPipelines(self.classes, self.seed)
+        seen = StreamSeen()
         rng = np.random.default_rng(0)
         n = 8
         limits = self.classes.limits
@@ -221,7 +267,8 @@ class Tracker:
             label = np.resize([*self.classes.only, *self.classes.own] or [0], len(box))
             found = Detections.of(box, rng.uniform(0.3, 1.0, len(box)), label)
             with uninterrupted():
-                pipelines.advance(self.classes.within_limits(found)[0], k, k / self.fps)
+                made = pipelines.advance(self.classes.within_limits(found)[0], k, k / self.fps)
+                seen = self._checks.advance(seen, made, _ONE_CLASS)[0]
         # A camera that moves; models on the ground take no warp.
         shift = np.array([[1.0, 0.0, 4.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         with uninterrupted(), suppress(InputError):
@@ -240,12 +287,22 @@ class Tracker:
         # A slow stream's history is longer: it goes by the filter's time.
         if self._forgets and time - self._begun > HISTORY and self._pipelines.oldest > self._first:
             self._forgets = False
-            _LOG.warning(
-                "what is older than some %g minutes is forgotten from now on, so that memory stays"
-                " bounded: tracks() goes no further back. FinalTracks gives corrected rows as they"
-                " become final; associate={'history': 0} keeps all",
-                HISTORY / 60,
+            self._say(
+                f"what is older than some {HISTORY / 60:g} minutes is forgotten from now on, so"
+                " that memory stays bounded: tracks() goes no further back. FinalTracks gives"
+                " corrected rows as they become final; associate={'history': 0} keeps all"
             )
+
+    def trust_times(self) -> None:
+        """From now on warn of no times that jump or look wrong, as for a camera that is switched
+        off at times.
+        """
+        self._checks = replace(self._checks, trusts_times=True)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The warnings of this sequence so far, except those of boxes left out."""
+        return self._warnings.sentences
 
     @property
     def left_out(self) -> DiscardedBoxes:
@@ -310,7 +367,13 @@ class Tracker:
         from phdtrack.state import FORMAT, settings_digest, to_bytes
 
         whole, pipelines = self._pipelines.saved()
-        state = {"whole": whole, "pipelines": pipelines, "left_out": self._left_out}
+        state = {
+            "whole": whole,
+            "pipelines": pipelines,
+            "left_out": self._left_out,
+            "warnings": self._warnings,
+            "seen": self._seen,
+        }
         return lambda: {
             "format": FORMAT,
             "frame_size": self._frame_size,
@@ -343,9 +406,15 @@ class Tracker:
         left_out: DiscardedBoxes = unpack(
             state["left_out"], DiscardedBoxes, where=f"{where}, left_out"
         )
+        warnings: SavedWarnings = unpack(
+            state["warnings"], SavedWarnings, where=f"{where}, warnings"
+        )
+        seen: StreamSeen = unpack(state["seen"], StreamSeen, where=f"{where}, seen")
         self._pipelines = pipelines
         self._step = None
         self._left_out = left_out
+        self._warnings = warnings
+        self._seen = seen.resumed()
         self.sequences += 1
 
     def _check_saved(self, saved: Any, where: str, same_settings: bool) -> None:
