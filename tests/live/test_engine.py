@@ -396,3 +396,21 @@ def test_maps_fade_and_leave_out_what_is_outside() -> None:
     maps.add(3600.0, np.zeros((0, 2)), np.array([[100.0, 100.0, 110.0, 110.0]]), np.array([0.75]))
     assert maps.people.sum() == maps.people[0, 0] == pytest.approx(0.5)
     assert maps.clutter[10, 10] == maps.clutter.sum() == 0.75
+
+
+def test_warnings_of_its_tracker_are_kept(tmp_path: Path) -> None:
+    """Each once, also when its settings are read again; pauses of a camera are no jumps."""
+    config = tmp_path / "mine.toml"
+    config.write_text("[extract]\nmin_weight = 0.999999999\n")
+    source = Scripted(last=200)
+    made = list[CameraParts]()
+    one = camera(source, CameraSettings(tmp_path, config=config), config=config, made=made)
+    until(lambda: source.through == 200)
+    assert len(one.warnings) == 1
+    assert "detections that recur in 6 or more frames in a row" in one.warnings[0]
+    replaced(config, "[extract]\nmin_weight = 0.9999999999\n")
+    until(lambda: len(made) == 2)
+    source.last = 400
+    until(lambda: source.through == 400)
+    assert one.stop(600.0)
+    assert len(one.warnings) == 1

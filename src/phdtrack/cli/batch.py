@@ -16,7 +16,7 @@ import typer
 from phdtrack.cli import options as given
 from phdtrack.cli.app import Misuse, parser
 from phdtrack.cli.options import one_of, option, seconds
-from phdtrack.cli.output import PACE, Output, counted
+from phdtrack.cli.output import PACE, Output, counted, without_numbers
 from phdtrack.errors import InputError, needed
 from phdtrack.parallel import Failed, on_ray, outcomes
 from phdtrack.report import write_run
@@ -218,7 +218,11 @@ def _summary(video: BatchVideo, results: Mapping[str, Result]) -> Result:
 def _follow(
     output: Output, results: dict[str, Result], tasks: Sequence[BatchVideo], workers: Workers
 ) -> None:
-    """Run tasks and add their results, with a bar, or a line for each if there is no terminal."""
+    """Run tasks and add their results, with a bar, or a line for each if there is no terminal.
+
+    What several runs warn of is said once.
+    """
+    said = set[str]()
     total = len(results) + len(tasks)
     with output.progress("videos", total, PACE) as advance:
         advance(len(results))
@@ -228,6 +232,10 @@ def _follow(
                 output.warn([f"{len(results)} of {total}: {name} failed: {result.reason}"])
             else:
                 results[name] = {"state": "done", **result}
+                for sentence in result["warnings"]:
+                    if without_numbers(sentence) not in said:
+                        said.add(without_numbers(sentence))
+                        output.warn([f"{name}: {sentence}"])
                 if not sys.stderr.isatty():
                     frames = counted(result["frames"], "frame")
                     output.note(f"{len(results)} of {total}: {name}, {frames}")

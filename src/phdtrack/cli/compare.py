@@ -17,7 +17,7 @@ import typer
 from phdtrack import compare as comparing
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
-from phdtrack.cli.output import PACE, Output
+from phdtrack.cli.output import PACE, Output, counted, without_numbers
 from phdtrack.cli.track import command_line
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.results import Results
@@ -217,6 +217,7 @@ def doubts(comparison: Comparison) -> tuple[str, ...]:
         for _, result in comparison.runs
         if isinstance(result, ComparedRun) and result.warning
     ]
+    said += _tracking_warnings(comparison)
     each = tuple(dict.fromkeys(said))
     more: tuple[str, ...]
     if len(each) > MOST_WARNINGS:
@@ -224,3 +225,16 @@ def doubts(comparison: Comparison) -> tuple[str, ...]:
     else:
         more = ()
     return (*each[:MOST_WARNINGS], *more)
+
+
+def _tracking_warnings(comparison: Comparison) -> list[str]:
+    """The warnings of trackers, each once, with the first run that has it."""
+    runs = dict[str, list[str]]()
+    for run, result in comparison.runs:
+        if isinstance(result, ComparedRun):
+            for sentence in result.tracking_warnings:
+                runs.setdefault(without_numbers(sentence), []).append(f"{run}: {sentence}")
+    return [
+        first + (f" ({counted(len(more), 'more run')} like it)" if more else "")
+        for first, *more in runs.values()
+    ]

@@ -244,9 +244,11 @@ class _Server:
 def _attend(
     cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], output: Output, end: float
 ) -> None:
-    """Print changes of the sources' states until the end."""
+    """Print changes of the sources' states, and warnings, until the end."""
     said = dict[str, tuple[str, ...]]()
+    warned = dict[str, int]()
     while time.monotonic() < end:
+        _warn(cameras, output, warned)
         for one in cameras:
             status = one.source.status()
             now = (status.state, shown(status.problem), *one.problems)
@@ -274,6 +276,15 @@ def _attend(
                 with suppress(OSError):
                     output.note(": ".join(filter(None, (one.name, *now))))
         _print(lines, output, 0.2)
+
+
+def _warn(cameras: Sequence[Camera], output: Output, said: dict[str, int]) -> None:
+    """Print the warnings of cameras' trackers, each once; ``said`` counts those of each camera."""
+    for one in cameras:
+        newest = one.warnings[said.get(one.name, 0) :]
+        said[one.name] = said.get(one.name, 0) + len(newest)
+        with suppress(OSError):
+            output.warn(f"{one.name}: {sentence}" for sentence in newest)
 
 
 def _print(lines: queue.Queue[dict[str, object]], output: Output, wait: float = 0.0) -> None:

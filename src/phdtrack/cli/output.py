@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -140,6 +141,11 @@ def counted(count: int, noun: str) -> str:
     else:
         many = f"{noun}s"
     return f"{count or 'no'} {noun if count == 1 else many}"
+
+
+def without_numbers(sentence: str) -> str:
+    """The sentence with # in place of each number: what it says, whatever it counts."""
+    return re.sub(r"\d+([.,]\d+)*", "#", sentence)
 
 
 def _bar(pace: float) -> Any:

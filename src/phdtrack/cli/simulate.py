@@ -152,7 +152,7 @@ def demo(
             checkpoint_every=0.0,
         )
         result = results[title] = prepare(request, command_line()).run(place, output)
-        output.warn(result.warnings)
+        output.warn(result.unreported)
         if result.stop is not None:
             raise result.stop
     output.say()

@@ -55,7 +55,7 @@ def run_and_print(output: Output, prepared: PreparedRun, request: RunRequest) ->
 
 def print_result(output: Output, result: RunResult, directory: RunDirectory) -> None:
     """Print summary, files, warnings and scores."""
-    output.warn(result.warnings)
+    output.warn(result.unreported)
     output.say(*result.summary, "", *directory.listing())
     if result.scores is not None:
         # Loaded only if there are scores.

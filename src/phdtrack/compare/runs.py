@@ -82,6 +82,7 @@ class ComparedRun:
     warning : what a user should know; empty where there is nothing.
     errors : number of errors by cause, by `metrics.errors.SUMS`; {} without truth.
     log_evidence : of the filter, mean over the frames; None where it has none.
+    tracking_warnings : those of the tracker.
     """
 
     frames: int
@@ -95,6 +96,7 @@ class ComparedRun:
     warning: str
     errors: Mapping[str, int]
     log_evidence: float | None
+    tracking_warnings: Sequence[str] = ()
 
     @property
     def scores(self) -> Scores | None:
@@ -346,6 +348,7 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
         inputs.warning,
         errors,
         sequence.log_evidence,
+        sequence.warnings,
     )
     scores = result.scores.as_dict() if result.scores else {}
     write_tracks(folder / TRACKS, tracks)
@@ -433,13 +436,14 @@ def _with_clutter(
 
 class TrackedSequence(NamedTuple):
     """The corrected tracks of a run, whether anything was drawn at random, the median of the
-    seconds per frame, and the mean log evidence.
+    seconds per frame, the mean log evidence, and the tracker's warnings.
     """
 
     tracks: Tracks
     drawn: bool
     seconds: float
     log_evidence: float | None
+    warnings: tuple[str, ...] = ()
 
 
 class _Figures:
@@ -461,6 +465,8 @@ def tracked(run: Run, inputs: RunInput) -> TrackedSequence:
     labels = np.unique(inputs.table.detections.class_id).tolist()
     classes = config.build_classes(settings, inputs.info, inputs.names, labels, moving=True)
     tracker = Tracker(stages=classes, fps=inputs.info.fps, seed=run.seed)
+    # They are among the results of the comparison, which says each once.
+    tracker.on_warning = unsaid
     mover = mover_of(settings, classes.usual.model, pictures=False)
     figures = _Figures()
     track_frames(tracker, _moved(inputs.frames, mover), (figures,))
@@ -470,7 +476,12 @@ def tracked(run: Run, inputs: RunInput) -> TrackedSequence:
         tracker.drawn,
         float(np.median(figures.seconds)) if figures.seconds else 0.0,
         mean if math.isfinite(mean) else None,
+        tracker.warnings,
     )
+
+
+def unsaid(sentence: str) -> None:
+    """Drop a warning that is reported elsewhere."""
 
 
 def _moved(frames: Iterable[DetectedFrame], mover: Mover | None) -> Iterator[DetectedFrame]:

@@ -223,6 +223,8 @@ class Camera:
         """The settings of what is watched, and its state: who is there, and the counts."""
         # What went wrong, by what it concerns.
         self._problems = dict[str, str]()
+        self.warnings = list[str]()
+        """The warnings of the tracker, of which there are few."""
         self._files_read = {
             "places": _WatchedFile(settings.places, self._places),
             "settings": _WatchedFile(settings.config, self._settings),
@@ -417,12 +419,20 @@ class Camera:
         if names:
             problem = f"{', '.join(names)} cannot change while it runs"
             raise InputError(problem, where=path, cure="End it and start it again.")
-        tracker = Tracker(stages=parts.classes, fps=parts.info.fps, seed=parts.seed)
-        tracker.warm_up()
+        tracker = self._tracker(parts)
         tracker.load_state_dict(running.tracker.state_dict(), same_settings=False)
         # Detector and motion go on with what they know of the last picture.
         parts = parts._replace(detector=running.parts.detector, mover=running.parts.mover)
         self.running = running._replace(parts=parts, tracker=tracker)
+
+    def _tracker(self, parts: CameraParts) -> Tracker:
+        """A tracker that is warm, and whose warnings are those of the camera."""
+        tracker = Tracker(stages=parts.classes, fps=parts.info.fps, seed=parts.seed)
+        tracker.on_warning = self.warnings.append
+        # Pictures come when they come, and connections break.
+        tracker.trust_times()
+        tracker.warm_up()
+        return tracker
 
     def _begin(self, frame: LiveFrame, fps: float) -> Running:
         """The parts for the size of the first picture, and a tracker, which continues from the
@@ -430,8 +440,7 @@ class Camera:
         """
         height, width = frame.image.shape[:2]
         parts = self._make(SequenceInfo(width, height, round(max(fps, 1.0), 1), 0, self.name))
-        tracker = Tracker(stages=parts.classes, fps=parts.info.fps, seed=parts.seed)
-        tracker.warm_up()
+        tracker = self._tracker(parts)
         groups = None
         if parts.groups is not None:
             first = self.log.highest("group") + 1

@@ -175,3 +175,4 @@ def _problems(run: Run, progress: Progress) -> Iterator[str]:
         video=rundir.VIDEO,
     )
     yield from progress.tracker.left_out.sentences()
+    yield from progress.tracker.warnings

@@ -52,6 +52,7 @@ class RunResult(NamedTuple):
     tracks : corrected tracks; of a source without an end those that are remembered.
     document : the content of run.json.
     summary, warnings : sentences.
+    reported : the warnings that the reporter got during the run.
     scores : None without truth.
     stop : what ended the run before its time; None if it ran to the end.
     """
@@ -62,6 +63,12 @@ class RunResult(NamedTuple):
     warnings: tuple[str, ...]
     scores: Scores | None = None
     stop: Stop | None = None
+    reported: tuple[str, ...] = ()
+
+    @property
+    def unreported(self) -> tuple[str, ...]:
+        """The warnings that the reporter did not get during the run."""
+        return tuple(each for each in self.warnings if each not in self.reported)
 
 
 def run(
@@ -127,7 +134,8 @@ def _run(run: Run, advance: Advance) -> RunResult:
     advance(progress.frames, total=progress.frames, description="report")
     seconds = (time.perf_counter() - began, finishing)
     document, summary, warnings = write_report(run, progress, tracks, scores, seconds)
-    return RunResult(tracks, document, summary, warnings, scores, progress.ended)
+    reported = progress.tracker.warnings
+    return RunResult(tracks, document, summary, warnings, scores, progress.ended, reported)
 
 
 def _track(run: Run, advance: Advance) -> Progress:
@@ -137,6 +145,9 @@ def _track(run: Run, advance: Advance) -> Progress:
     inputs = run.inputs
     options = run.options
     tracker = Tracker(stages=run.classes, fps=inputs.info.fps, seed=options.about.seed)
+    tracker.on_warning = lambda sentence: run.reporter.warn([sentence])
+    if not inputs.again:
+        tracker.trust_times()
     charted = None if inputs.again else CHARTED
     recorder = Recorder(inputs.info, options.truth, charted, options.blur)
     progress = Progress(tracker, recorder, [] if inputs.again else deque(maxlen=SAMPLE))
