@@ -32,10 +32,12 @@ ENTRY = LEAN | {"cache": True, "nogil": True}
 # ends the process.
 INNER = LEAN | {"no_cpython_wrapper": True}
 VECTOR = INNER | {"fastmath": FAST}
-# Always a part of its caller. If a kernel calls a function, the process that compiles both runs the
-# function's own copy, and one that loads the kernel runs the kernel's; the two may round
-# differently.
-INLINED = VECTOR | {"forceinline": True}
+# Always a part of its caller: for the few lines of an inner loop, which LLVM calls as a function if
+# they are long.
+INLINED = INNER | {"forceinline": True}
+# If a kernel calls a function that vectorises, the process that compiles both runs the function's
+# own copy, and one that loads the kernel runs the kernel's; the two may round differently.
+INLINED_VECTOR = INLINED | {"fastmath": FAST}
 
 # Numbers in the widest vector register; narrower ones divide it. Loops over whole registers have no
 # remainder, which would be done one by one.

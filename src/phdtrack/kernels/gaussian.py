@@ -32,7 +32,7 @@ from numba import config
 
 from phdtrack.kernels import F8, I8, Records
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.fast32 import ENTRY, INLINED, INNER
 from phdtrack.kernels.grid import cell_of, sorted_by_cell
 
 Period = tuple[float, ...]
@@ -137,7 +137,7 @@ GAUSSIAN = np.zeros((0, 3))
 SPOT = records("along across", "measurement")
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def factor(cov: F8, root: F8) -> float:
     """Log-determinant of ``cov`` (m, m); writes its Cholesky factor into the lower part of ``root``
     (m, m).

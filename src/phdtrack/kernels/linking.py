@@ -24,7 +24,7 @@ from phdtrack.kernels.association import (
     new_paths,
 )
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.fast32 import ENTRY, INLINED, INNER
 from phdtrack.kernels.gaussian import copy_gaussian, factor, norm2
 from phdtrack.kernels.grid import Grid, make_grid, overlapping
 
@@ -107,7 +107,7 @@ def _kept(values: F8, begin: int, more: int, fill: float) -> F8:
     return out
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _log_det(covariance: F8, i: int, other: F8, j: int, observed: I8, block: F8, root: F8) -> float:
     """Log-determinant of the observed block of covariance i plus, unless j < 0, that of ``other``
     j; writes its Cholesky factor into ``root``.
@@ -157,15 +157,18 @@ class Bounds(NamedTuple):
     farthest: float
 
 
+# The functions of one pair take arrays and no records: a record in a loop would have all of its
+# arrays counted again.
 @njit(**INNER)
-def _limit(bounds: Bounds, c: int, loose: float, own: float) -> float:
-    """Squared distance within which a link to vertex c may gain anything.
+def _limit(loose: float, own: float, price: float, predicted: float, farthest: float) -> float:
+    """Squared distance within which a link may gain anything; the arguments are elements of
+    `Bounds`, of the new state and of the open vertex.
 
     A gain above 0 needs d² < 2·(loose ends − price of the gap) − log|S|, and |S| is at least that
     of either covariance.
     """
-    limit: float = 2.0 * (loose - bounds.price[c]) - max(bounds.predicted[c], own)
-    return min(limit, bounds.farthest)
+    limit: float = 2.0 * (loose - price) - max(predicted, own)
+    return min(limit, farthest)
 
 
 @njit(**INNER)
@@ -207,7 +210,7 @@ def _grid_of_vertices(mean: F8, covariance: F8, fresh: Fresh, bounds: Bounds) ->
     lower = np.empty((2, old))
     upper = np.empty((2, old))
     for c in range(old):
-        limit = _limit(bounds, c, best, least)
+        limit = _limit(best, least, bounds.price[c], bounds.predicted[c], bounds.farthest)
         for a in range(2):
             o = fresh.observed[a]
             extent = 0.0
@@ -219,19 +222,27 @@ def _grid_of_vertices(mean: F8, covariance: F8, fresh: Fresh, bounds: Bounds) ->
     return grid
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _step_within(
-    mean: F8, covariance: F8, c: int, fresh: Fresh, i: int, limit: float, step: F8
+    mean: F8,
+    covariance: F8,
+    c: int,
+    new_mean: F8,
+    new_covariance: F8,
+    i: int,
+    observed: I8,
+    limit: float,
+    step: F8,
 ) -> bool:
     """Write the step from vertex c to new state i in the observed rows; False if the position
     alone shows that it is too long.
     """
     near = True
     for a in range(step.size):
-        o = fresh.observed[a]
-        step[a] = fresh.mean[i, o] - mean[c, o]
+        o = observed[a]
+        step[a] = new_mean[i, o] - mean[c, o]
         if a < 2:
-            spread = covariance[c, o, o] + fresh.covariance[i, o, o]
+            spread = covariance[c, o, o] + new_covariance[i, o, o]
             near = near and step[a] * step[a] <= limit * spread
     return near
 
@@ -253,8 +264,10 @@ def _add_edges(
     gain = log N(step; 0, S) − log-density of two loose ends − gap_cost·(since − dt), S = predicted
     + new covariance, in the observed rows. ``row``: number of the first open vertex.
     """
-    old = bounds.price.size
-    r = fresh.observed.size
+    new_mean, new_covariance, _, observed = fresh
+    loose, own, price, predicted, farthest = bounds
+    old = price.size
+    r = observed.size
     block = np.empty((r, r))
     root = np.empty((r, r))
     step = np.empty(r)
@@ -262,9 +275,9 @@ def _add_edges(
     grid = _grid_of_vertices(mean, covariance, fresh, bounds)
     near = np.empty(old, np.int64)
     count = start[old]
-    for i in range(fresh.mean.shape[0]):
-        px = fresh.mean[i, fresh.observed[0]]
-        py = fresh.mean[i, fresh.observed[1]]
+    for i in range(new_mean.shape[0]):
+        px = new_mean[i, observed[0]]
+        py = new_mean[i, observed[1]]
         some = overlapping(px, py, px, py, grid, near)
         if count + some > target.size:
             target = _kept(target, 0, count + some, 0)
@@ -272,13 +285,15 @@ def _add_edges(
         first = count
         for k in range(some):
             c = near[k]
-            limit = _limit(bounds, c, bounds.loose[i], bounds.own[i])
-            if not _step_within(mean, covariance, c, fresh, i, limit, step):
+            limit = _limit(loose[i], own[i], price[c], predicted[c], farthest)
+            if not _step_within(
+                mean, covariance, c, new_mean, new_covariance, i, observed, limit, step
+            ):
                 continue
-            log_det = _log_det(covariance, c, fresh.covariance, i, fresh.observed, block, root)
+            log_det = _log_det(covariance, c, new_covariance, i, observed, block, root)
             distance2 = norm2(step, root, y)
-            value = bounds.loose[i] - bounds.price[c] - 0.5 * (distance2 + log_det)
-            if value > 0.0 and distance2 <= bounds.farthest:
+            value = loose[i] - price[c] - 0.5 * (distance2 + log_det)
+            if value > 0.0 and distance2 <= farthest:
                 target[count] = row + c
                 gain[count] = value
                 count += 1

@@ -20,7 +20,7 @@ from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import (
     ENTRY,
     FAST,
-    INLINED,
+    INLINED_VECTOR,
     INNER,
     LANES,
     ROUNDS,
@@ -303,7 +303,7 @@ def add_up(s: Real, n: int) -> tuple[Number, Number]:
     return mass, missed
 
 
-@njit(**INLINED)
+@njit(**INLINED_VECTOR)
 def evaluate(
     sensor: Number, table: Real, j: int, s: Real, n: int, limit: Number
 ) -> tuple[Number, Number]:
@@ -322,7 +322,7 @@ def evaluate(
     return total, near
 
 
-@njit(**INLINED)
+@njit(**INLINED_VECTOR)
 def _add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Number) -> None:
     """The body of `add_detected`."""
     z = seen(sensor, table, j)
