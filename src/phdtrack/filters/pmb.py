@@ -342,18 +342,10 @@ class PMB(Checked, Filter[Bernoullis]):
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         # Predicted measurements of known targets; first detections λ̂(z) of new ones: PMB (5)
         ahead = predicted_measurements(model.sensor, now.mean, now.covariance, self.transform)
-        ratio = self._learned(state.detections)[0]
-        p_detect = ratio * ahead.p_detect / (1 + (ratio - 1) * ahead.p_detect)
-        ahead = ahead._replace(p_detect=p_detect)
         births = with_births(state.undetected, model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
         # Gate, associate by belief propagation, update each target: PMB (3), (4), (7) to (10)
-        clutter_share = 1.0
-        if isinstance(model.clutter, ScoredClutter):
-            clutter_share = min(model.clutter.more, 1.0)
-        learned = self._learned(state.detections)
-        standing = learned[1] / learned[0]
-        settings = self._settings(gate, clutter_share, standing, scores.prior < CERTAIN)
+        settings = self._settings(gate, model, state.detections, scores.prior < CERTAIN)
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some
         # kernels.
         layer, learned, gone, weak, counted = updated_layer(
@@ -382,18 +374,15 @@ class PMB(Checked, Filter[Bernoullis]):
         )
         return after, info
 
-    def _learned(self, counted: tuple[float, float, float]) -> tuple[float, float]:
-        """The odds of p_D, as a multiple of the sensor's, that `Bernoullis.detections` say: at most
-        1, and whatever they are.
-        """
+    def _learned(self, counted: tuple[float, float, float]) -> float:
+        """The odds of p_D as a multiple of the sensor's, by `Bernoullis.detections`."""
         hits, chances, expected = counted
         if not (self.detection_memory and chances > 0):
-            return 1.0, 1.0
+            return 1.0
         usual = min(max(expected / chances, 0.01), 0.99)
         learned = (PRIOR_CHANCES * usual + hits) / (PRIOR_CHANCES + chances)
         learned = min(max(learned, LEAST_DETECTION), MOST_DETECTION)
-        ratio = learned / (1 - learned) * (1 - usual) / usual
-        return min(ratio, 1.0), ratio
+        return learned / (1 - learned) * (1 - usual) / usual
 
     def _remembered(
         self, before: tuple[float, float, float], counted: tuple[float, float, float]
@@ -438,10 +427,15 @@ class PMB(Checked, Filter[Bernoullis]):
             )
 
     def _settings(
-        self, gate: float, clutter_share: float, standing_odds: float, lasting: bool
+        self, gate: float, model: Model, counted: tuple[float, float, float], lasting: bool
     ) -> Settings:
-        """The settings of the kernel. If scores tell ``lasting`` false alarms, none is static."""
-        clutter = self.static_clutter_prior * clutter_share
+        """The settings of the kernel; ``counted``: `Bernoullis.detections`. If scores tell
+        ``lasting`` false alarms, none is static.
+        """
+        learned = self._learned(counted)
+        clutter = self.static_clutter_prior
+        if isinstance(model.clutter, ScoredClutter):
+            clutter *= min(model.clutter.more, 1.0)
         standing = (1 - clutter) * STANDING
         prior = 0.0
         genuine = CERTAIN
@@ -456,7 +450,8 @@ class PMB(Checked, Filter[Bernoullis]):
             gate,
             prior,
             genuine,
-            standing_odds,
+            min(learned, 1.0),
+            learned,
             self.static_clutter_detection_probability,
             self.noise_freedom,
             len(self.acceleration_factors),

@@ -8,11 +8,11 @@ none of the measurements is near, with a measurement in reach that is near no ta
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels import F8, I8, Bool, Records
+from phdtrack.kernels import F8, Bool, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import INNER
 from phdtrack.kernels.gaussian import Expected, copy_gaussian
@@ -52,8 +52,8 @@ def jumping(
     least: float,
 ) -> Bool:
     """(T,) which targets none of the measurements ``z`` (N, r) is near, and one that is near no
-    target in reach of a new velocity. Targets that have one with less than the ``least`` probability
-    are left out.
+    target in reach of a new velocity. Targets that have one with less than the ``least``
+    probability are left out.
     """
     near = np.zeros(len(targets), np.bool_)
     explained = np.zeros(len(z), np.bool_)

@@ -62,14 +62,16 @@ CONFIRMED = 0.05
 # it better and better.
 STATIC_SHARE = 0.1
 
-# A target: the probabilities that it exists, and that it does and is no clutter (its presence), and the greatest presence that it ever had; its label, rising, from 0, unique; its
-# hypotheses begin … end − 1, and the heaviest of them that moves, −1 where there is none.
+# A target: the probabilities that it exists, and that it does and is no clutter (its presence), and
+# the greatest presence that it ever had; its label, rising, from 0, unique; its hypotheses begin …
+# end − 1, and the heaviest of them that moves, −1 where there is none.
 TARGET = records("r presence max_presence", "label begin end best")
 # A hypothesis: its weight, which sum to one for each target; the probability that the target cannot
 # be detected at present; the log odds that it is genuine, and no static or lasting clutter; its
-# target; the measurement of the frame that it took, −1 for none; its hypothesis in the frame before,
-# −1 where the target begins; whether it stands still, as static clutter does and some targets. How many times the model's the variances of its noises are, of the first two components of
-# a measurement and of two others, and the degrees of freedom of that; which of the factors its
+# target; the measurement of the frame that it took, −1 for none; its hypothesis in the frame
+# before, −1 where the target begins; whether it stands still, as static clutter does and some
+# targets. How many times the model's the variances of its noises are, of the first two components
+# of a measurement and of two others, and the degrees of freedom of that; which of the factors its
 # acceleration has.
 HYPOTHESIS = records(
     "weight occluded genuine position_scale size_scale freedom",
@@ -107,6 +109,8 @@ class Settings(NamedTuple):
     """The settings of `filters.PMB` that an update needs; ``gate`` in deviations,
     ``merge_distance`` 0 to merge nothing. ``standing_prior``: the probability that what is first
     detected stands still; ``standing_genuine``: the log odds that it is then a target.
+    ``detection_odds``: how many times the sensor's the odds of p_D are; ``standing_odds``: those of
+    targets that stand still.
     """
 
     existence_threshold: float
@@ -116,6 +120,7 @@ class Settings(NamedTuple):
     gate: float
     standing_prior: float
     standing_genuine: float
+    detection_odds: float
     standing_odds: float
     static_detection_probability: float
     noise_freedom: float
@@ -138,10 +143,11 @@ def predicted_layer(
 
     ``noise`` (d, C): deviations by which the sensor resolves them, `Sensor.noise`. ``occlude``,
     ``reappear``: probabilities that a visible target is occluded after the interval, and an
-    occluded one visible. ``depart``: that a target that stands still begins to move. ``freedom``: the degrees of freedom with which a target's noises begin, 0
-    where they are the model's, and the part of what is known of them that is kept; in place of the
-    rest they are the model's again. ``genuine``: the log odds with which a target is genuine before
-    its scores are known, and the part kept of the evidence of scores.
+    occluded one visible. ``depart``: that a target that stands still begins to move. ``freedom``:
+    the degrees of freedom with which a target's noises begin, 0 where they are the model's, and the
+    part of what is known of them that is kept; in place of the rest they are the model's again.
+    ``genuine``: the log odds with which a target is genuine before its scores are known, and the
+    part kept of the evidence of scores.
     """
     start, kept = freedom
     prior, remembered = genuine
@@ -257,14 +263,11 @@ def updated_layer(
     n = len(m.z)
     p_detect, visible, tails = _detection_terms(hypotheses, e.p_detect, s)
     # Gate
-    pairs = gated(
-        e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails
-    )
+    pairs = _gated(e, m, s.gate, p_detect, tails)
     # Give new velocities to targets that nothing is near
     if len(jumps.speed) > 0:
-        jump = jumping(
-            targets, mean, covariance, pairs, e, m.z, jumps, UNLIKELY * s.existence_threshold
-        )
+        least = UNLIKELY * s.existence_threshold
+        jump = jumping(targets, mean, covariance, pairs, e, m.z, jumps, least)
         if jump.any():
             targets, hypotheses, mean, covariance, e = with_jumps(
                 (targets, hypotheses, mean, covariance), jump, e, jumps
@@ -272,18 +275,7 @@ def updated_layer(
             layer = Layer(targets, hypotheses, mean, covariance)
             p_detect, visible, tails = _detection_terms(hypotheses, e.p_detect, s)
             new_velocity = np.where(jumped(targets, jump, len(hypotheses)), p_detect, 0.0)
-            more = gated(
-                e.rows,
-                e.z,
-                e.covariance,
-                e.noise,
-                m.z,
-                m.noise,
-                m.period,
-                s.gate,
-                new_velocity,
-                tails,
-            )
+            more = _gated(e, m, s.gate, new_velocity, tails)
             pairs = merged_pairs(pairs, more, targets, jump)
     # Associate
     exists = np.empty(count)
@@ -300,12 +292,7 @@ def updated_layer(
     )
     counted = _detections((targets, hypotheses, p_detect), visible, e.p_detect, pairs, exists)
     evidence, false_alarm, r_new = measured
-    predicted = 0.0
-    detected = 0.0
-    for t in range(count):
-        predicted += targets[t].presence
-        for c in range(targets[t].begin, targets[t].end):
-            detected += targets[t].r * hypotheses[c].weight * p_detect[c]
+    predicted, detected = _expected(targets, hypotheses, p_detect)
     # Update each hypothesis with each of its measurements, and keep the most probable
     options = np.empty(len(hypotheses) + len(pairs), PAIR)
     kept = np.empty(count, np.int64)
@@ -341,6 +328,24 @@ def updated_layer(
 
 
 @njit(**INNER)
+def _gated(e: Expected, m: Measurements, gate: float, active: F8, tails: F8) -> Records:
+    """The pairs of `gaussian.gated`."""
+    return gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, active, tails)
+
+
+@njit(**INNER)
+def _expected(targets: Records, hypotheses: Records, p_detect: F8) -> tuple[float, float]:
+    """The mass of the targets, and how many of the measurements they are expected to have."""
+    mass = 0.0
+    detected = 0.0
+    for t in range(targets.size):
+        mass += targets[t].presence
+        for c in range(targets[t].begin, targets[t].end):
+            detected += targets[t].r * hypotheses[c].weight * p_detect[c]
+    return mass, detected
+
+
+@njit(**INNER)
 def _detections(
     before: tuple[Records, Records, F8], visible: F8, p_detect: F8, pairs: Records, exists: F8
 ) -> tuple[float, float, float]:
@@ -371,7 +376,7 @@ def _detections(
                 h = hypotheses[c]
                 if not h.static:
                     # Missed, and yet not occluded.
-                    missed = h.weight * (visible[c] / p_detect[c] - visible[c])
+                    missed = h.weight * (1.0 - h.occluded - visible[c])
                     weight = exists[t] / unseen * missed * probability(h.genuine)
                     chances += weight
                     expected += weight * p_detect[c]
@@ -391,9 +396,8 @@ def _detection_terms(hypotheses: Records, p_detect: F8, s: Settings) -> tuple[F8
     tails = np.empty((len(hypotheses) if s.noise_freedom > 0.0 else 0, 3))
     for c in range(len(hypotheses)):
         h = hypotheses[c]
-        p = p_detect[c]
-        if h.static:
-            p = s.standing_odds * p / (1.0 + (s.standing_odds - 1.0) * p)
+        odds = s.standing_odds if h.static else s.detection_odds
+        p = odds * p_detect[c] / (1.0 + (odds - 1.0) * p_detect[c])
         visible[c] = (1.0 - h.occluded) * p
         own[c] = visible[c]
         if h.static:
