@@ -34,9 +34,7 @@ def mixture_of(state: Bernoullis) -> GaussianMixture:
     targets, hypotheses, means, covariances = state.present
     target = hypotheses["target"]
     genuine = 1 / (1 + np.exp(-hypotheses["genuine"]))
-    weight = np.where(
-        hypotheses["static"], 0.0, targets["r"][target] * hypotheses["weight"] * genuine
-    )
+    weight = targets["r"][target] * hypotheses["weight"] * genuine
     there = np.flatnonzero(weight > 0)
     return GaussianMixture(
         weight[there], np.ascontiguousarray(means[there].T), scaled(covariances, hypotheses, there)

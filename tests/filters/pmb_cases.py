@@ -10,6 +10,7 @@ from mht_cases import FRAME
 from phdtrack.arrays import GATE
 from phdtrack.filters import PMB
 from phdtrack.filters.pmb import Bernoullis
+from phdtrack.kernels.pmb import STATIC_SHARE
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import F8
@@ -18,7 +19,8 @@ from reference.gm_twin import corrected
 # What a detection shows of a state, and its noise in `world`.
 H = np.eye(6)[[0, 1, 4, 5]]
 NOISE = 9 * np.eye(4)
-# One noise and one agility for all targets, no lasting clutter, clutter as the model says.
+# One noise and one agility for all targets, no lasting clutter; clutter and p_D as the model says,
+# and velocities that change little by little.
 SIMPLE = PMB(
     noise_freedom=0.0,
     acceleration_factors=(1.0,),
@@ -29,6 +31,8 @@ SIMPLE = PMB(
     mean_occluded_time=0.4,
     static_clutter_prior=0.05,
     static_clutter_detection_probability=0.5,
+    detection_memory=0.0,
+    turns_per_second=0.0,
 )
 # Neither hidden states nor static clutter; and nothing is dropped.
 PLAIN = replace(SIMPLE, mean_visible_time=0.0, static_clutter_prior=0.0)
@@ -81,13 +85,14 @@ def kalman(model: Model, mean: F8, cov: F8, z: F8 | None, dt: float) -> tuple[F8
 
 @dataclass(frozen=True)
 class One:
-    """A way in which the only target may be: the measurements it took by frame, what it is, whether
-    it is hidden.
+    """A way in which the only target may be: the measurements it took by frame, whether it stands
+    still, as a target or as static clutter, and whether it is hidden.
     """
 
     weight: float
     taken: tuple[int, ...]
     static: bool
+    genuine: bool
     hidden: bool
     mean: F8
     cov: F8
@@ -100,16 +105,17 @@ def moved_on(ways: list[One], model: Model, dt: float, turns: F8) -> list[One]:
     out = []
     for way in ways:
         weight = way.weight * float(model.motion.p_survive(way.mean[:, None], dt / model.rate)[0])
+        mean, cov = kalman(model, way.mean, way.cov, None, dt)
         if way.static:
-            # The place of static clutter is never known better than half the variances by which the
-            # sensor resolves it.
+            # The place of what stands still is never known better than by a share of the variances
+            # by which the sensor resolves it.
+            noise = model.sensor.noise(way.mean[:, None])[:, 0]
+            mean = way.mean
             cov = way.cov.copy()
-            cov[range(6), range(6)] = np.maximum(
-                np.diag(cov), 0.5 * model.sensor.noise(way.mean[:, None])[:, 0] ** 2
-            )
+            cov[range(6), range(6)] = np.maximum(np.diag(cov), STATIC_SHARE * noise**2)
+        if not way.genuine:
             out.append(replace(way, weight=weight, cov=cov))
             continue
-        mean, cov = kalman(model, way.mean, way.cov, None, dt)
         out += [
             replace(
                 way, weight=weight * turns[int(way.hidden), k], hidden=bool(k), mean=mean, cov=cov
@@ -128,7 +134,9 @@ def bernoulli(
     kappa = model.clutter.intensity(z)
     out = []
     for way in ways:
-        p = firing if way.static else 0.0 if way.hidden else model.sensor.detection_probability
+        p = 0.0 if way.hidden else model.sensor.detection_probability
+        if not way.genuine:
+            p = firing
         out.append(replace(way, weight=way.weight * (1 - p), taken=(*way.taken, -1)))
         for j in range(z.shape[1]):
             mean, cov, density = corrected(way.mean, way.cov, z[:, j], H, NOISE)

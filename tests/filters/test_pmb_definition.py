@@ -24,6 +24,8 @@ from views import mixture_of
 H = np.eye(6)[[0, 1, 4, 5]]
 SETTINGS = {
     "default": PMB(merge_distance=0.0),
+    "no new velocities": PMB(merge_distance=0.0, turns_per_second=0.0, detection_memory=0.0),
+    "static clutter": PMB(merge_distance=0.0, lasting_clutter_prior=0.0, noise_freedom=0.0),
     "no static clutter": PMB(static_clutter_prior=0.0, merge_distance=0.0),
     "few": PMB(
         max_hypotheses=2,
@@ -59,10 +61,10 @@ def a_state(rng: np.random.Generator, targets: int, settings: PMB) -> tuple[Bern
     cov = root @ root.transpose(0, 2, 1) + 2 * np.eye(6)
     static = rng.random(count) < 0.3
     r = rng.uniform(0.05, 1, targets)
-    occluded = np.where(static, 0.0, rng.uniform(0, 0.9, count))
+    occluded = rng.uniform(0, 0.9, count)
     best = np.array(
         [
-            next((c for c in range(a, b) if not static[c]), -1)
+            max((c for c in range(a, b) if not static[c]), key=lambda c: weight[c], default=-1)
             for a, b in itertools.pairwise(offsets)
         ]
     )
@@ -90,7 +92,9 @@ def a_state(rng: np.random.Generator, targets: int, settings: PMB) -> tuple[Bern
     scale[freedom == 0] = 1.0
     motion = np.where(static, 0, rng.integers(0, len(settings.acceleration_factors), count))
     hypotheses["position_scale"], hypotheses["size_scale"] = scale.T
-    genuine = rng.normal(0, 3, count) if settings.lasting_clutter_prior else np.full(count, CERTAIN)
+    genuine = rng.normal(0, 3, count)
+    if not settings.lasting_clutter_prior:
+        genuine[~static] = CERTAIN
     hypotheses["freedom"] = freedom
     hypotheses["motion"] = motion
     hypotheses["genuine"] = genuine
@@ -106,14 +110,21 @@ def a_state(rng: np.random.Generator, targets: int, settings: PMB) -> tuple[Bern
         for a, b in itertools.pairwise(offsets)
     ]
     return Bernoullis(
-        (layer, layer), np.zeros((0, 2), np.int64), len(r), GaussianMixture.empty(6), 1
+        (layer, layer),
+        np.zeros((0, 2), np.int64),
+        len(r),
+        GaussianMixture.empty(6),
+        1,
+        tuple(rng.uniform([10, 50, 30], [50, 60, 50])),
     ), list(zip(r, forms, strict=True))
 
 
 @pytest.mark.parametrize("name", SETTINGS)
 @pytest.mark.parametrize("seed", range(6))
 def test_the_update_is_its_definition(seed: int, name: str):
-    """Existence, weights, states, noises, measurements, order; false alarms and masses."""
+    """Existence, weights, states, noises, measurements, order; false alarms, masses, and what was
+    learned of p_D.
+    """
     rng = np.random.default_rng(seed)
     settings = SETTINGS[name]
     model = world(clutter=3e-7, birth=1e-7, detection=0.8)
@@ -127,8 +138,24 @@ def test_the_update_is_its_definition(seed: int, name: str):
     ruled = (
         replace(settings, static_clutter_prior=0.0) if settings.lasting_clutter_prior else settings
     )
-    wanted, false = twin.updated(
-        targets, z.T, H, 9 * np.eye(4), 0.8, [3e-7] * 6, new, ruled, scores, ROUNDS, SETTLED
+    turn = None
+    if settings.turns_per_second:
+        turn = model.sensor.noise(np.zeros((6, 1)))[2:4, 0], 1.0, 25.0
+    odds = twin.learned_odds(state.detections, settings)
+    wanted, false, counted = twin.updated(
+        targets,
+        z.T,
+        H,
+        9 * np.eye(4),
+        0.8,
+        [3e-7] * 6,
+        new,
+        ruled,
+        scores,
+        ROUNDS,
+        SETTLED,
+        odds,
+        turn,
     )
     after, info = settings.update(state, z, model, 1.0, RNG)
     now = after.present
@@ -164,6 +191,10 @@ def test_the_update_is_its_definition(seed: int, name: str):
             begins[t] + x.source if t >= 0 else -1 for x in forms
         ]
     np.testing.assert_allclose(info.clutter_probability, false, rtol=1e-8)
+    if settings.detection_memory:
+        fade = 1 - counted[1] / settings.detection_memory
+        remembered = fade * np.array(state.detections) + counted
+        np.testing.assert_allclose(after.detections, remembered, rtol=1e-8)
     assert info.mass_predicted == pytest.approx(0.5 * sum(r for r, _ in targets) + info.mass_born)
     assert info.mass == pytest.approx(after.mass)
     assert info.mass == pytest.approx(mixture_of(after).weight.sum())

@@ -23,7 +23,7 @@ from pmb_cases import (
     world,
 )
 
-from phdtrack.filters import PMB
+from phdtrack.filters import PMB, pmb
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 from reference.mht_twin import enumerate_histories, summed
@@ -89,10 +89,11 @@ SCANS = {
     ],
 )
 @pytest.mark.parametrize("name", SCANS)
-def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
+def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float, monkeypatch):
     """Every past, what the target is, and whether it is hidden, enumerated: existence, weights,
-    states, hidden chain.
+    states, hidden chain. What stands still stays so for good, which is the exact case.
     """
+    monkeypatch.setattr(pmb, "MEAN_STANDING_TIME", np.inf)
     filter_ = replace(EVERYTHING, **settings)
     model = world(clutter=3e-8, birth=2e-8, detection=0.8, survival=0.95)
     first, *rest = SCANS[name]
@@ -100,10 +101,19 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
     born = 0.8 * 2e-8 * dt
     r = born / (born + 3e-8)
     mean, cov = model.sensor.states(boxes(first))
-    prior = filter_.static_clutter_prior / dt
-    kinds = [(False, 1 - prior), (True, prior)]
+    prior = filter_.static_clutter_prior
+    standing = pmb.STANDING * (1 - prior) if prior else 0.0
+    kinds = [
+        (False, True, 1 - prior - standing),
+        (True, True, standing),
+        (True, False, prior),
+    ]
     nobody = 1 - r
-    ways = [One(r * w, (0,), kind, False, mean[:, 0], cov[0]) for kind, w in kinds if w > 0]
+    ways = [
+        One(r * w, (0,), static, genuine, False, mean[:, 0], cov[0])
+        for static, genuine, w in kinds
+        if w > 0
+    ]
     assert info.mass == pytest.approx(r * (1 - prior))
     # Births so rare that they change nothing.
     model = world(clutter=3e-8, birth=1e-290, detection=0.8, survival=0.95)
@@ -124,7 +134,7 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
     assert now.targets["r"][0] == pytest.approx(1 - nobody, rel=1e-9)
     assert info.mass == pytest.approx(now.targets["presence"][0], rel=1e-12)
     assert now.targets["presence"][0] == pytest.approx(
-        sum(w.weight for w in ways if not w.static), rel=1e-9
+        sum(w.weight for w in ways if w.genuine), rel=1e-9
     )
     keys = list(zip(pasts(state), now.hypotheses["static"].tolist(), strict=True))[
         : now.targets["end"][0]
@@ -136,8 +146,12 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
         mine = [w for w in ways if (w.taken, w.static) == key]
         weight = sum(w.weight for w in mine)
         assert now.targets["r"][0] * now.hypotheses["weight"][i] == pytest.approx(weight, rel=1e-8)
-        hidden = sum(w.weight for w in mine if w.hidden) / weight
+        genuine = sum(w.weight for w in mine if w.genuine)
+        hidden = sum(w.weight for w in mine if w.hidden) / genuine
         assert now.hypotheses["occluded"][i] == pytest.approx(hidden, rel=1e-8, abs=1e-12)
+        if key[1]:
+            odds = np.log(genuine / (weight - genuine))
+            assert now.hypotheses["genuine"][i] == pytest.approx(odds, rel=1e-8, abs=1e-10)
         np.testing.assert_allclose(now.mean[i], mine[0].mean, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(now.covariance[i], mine[0].cov, rtol=1e-8, atol=1e-8)
 
