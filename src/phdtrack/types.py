@@ -643,8 +643,8 @@ class Step:
     ``tracks`` are the online rows that became final with this frame: with an output delay they
     belong to an earlier one. ``seconds`` (filter, extract, associate) is the time each stage took.
     ``unusable`` counts the detections that tell nothing of any state, as one whose foot is above
-    the horizon: no row rests on them. ``warp`` (3, 3) is the camera's motion since the frame before,
-    observed or not; `STILL` for none.
+    the horizon: no row rests on them. ``warp`` (3, 3) is the camera's motion since the frame
+    before, observed or not; `STILL` for none.
     """
 
     number: int

@@ -330,7 +330,10 @@ def updated_layer(
 @njit(**INNER)
 def _gated(e: Expected, m: Measurements, gate: float, active: F8, tails: F8) -> Records:
     """The pairs of `gaussian.gated`."""
-    return gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, active, tails)
+    pairs: Records = gated(
+        e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, active, tails
+    )
+    return pairs
 
 
 @njit(**INNER)
@@ -664,7 +667,8 @@ def after_score(genuine: float, scores: Scores, j: int) -> float:
     log_odds = scores.log_odds[j]
     if genuine >= scores.prior + PROVED and log_odds < 0.0:
         return genuine
-    return _within(genuine + log_odds)
+    after: float = _within(genuine + log_odds)
+    return after
 
 
 @njit(**INNER)
