@@ -330,9 +330,8 @@ def updated_layer(
 @njit(**INNER)
 def _gated(e: Expected, m: Measurements, gate: float, active: F8, tails: F8) -> Records:
     """The pairs of `gaussian.gated`."""
-    pairs: Records = gated(
-        e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, active, tails
-    )
+    pairs: Records
+    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, active, tails)
     return pairs
 
 
