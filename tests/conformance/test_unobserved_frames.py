@@ -133,6 +133,22 @@ def test_unobserved_frames_under_a_turning_camera(kind: str) -> None:
     check_same(corrected, observed(smoothed), tolerance=0.02)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_state_saved_at_an_unobserved_frame_goes_on_the_same(kind: str) -> None:
+    updates = unobserved(MOVING)[:60]
+    whole = tracker_of(kind)
+    fed(whole, updates)
+    first = tracker_of(kind)
+    fed(first, updates[:33])
+    second = tracker_of(kind)
+    second.load_state_dict(first.state_dict())
+    fed(second, updates[33:])
+    for a, b in ((whole.tracks(), second.tracks()), (whole.flush(), second.flush())):
+        np.testing.assert_array_equal(a.xyxy, b.xyxy)
+        np.testing.assert_array_equal(a.identity, b.identity)
+    np.testing.assert_array_equal(whole.step.tracks.xyxy, second.step.tracks.xyxy)
+
+
 @pytest.mark.parametrize("second", [0, 2, 7])
 def test_later_classes_begin_the_same_with_unobserved_frames(second: int) -> None:
     def classed(updates: list[Update]) -> list[Update]:
