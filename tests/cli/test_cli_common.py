@@ -15,9 +15,10 @@ from pathlib import Path
 import pytest
 import typer
 from cli_runner import phdtrack, walkers
+from typer.testing import CliRunner
 
 from phdtrack import __version__
-from phdtrack.cli.app import COMMANDS, guarded
+from phdtrack.cli.app import COMMANDS, application, guarded
 from phdtrack.cli.output import Output
 from phdtrack.errors import InputError
 from phdtrack.run.choices import chosen_settings
@@ -74,6 +75,25 @@ def test_both_entry_points_are_the_same() -> None:
         assert (done.returncode, done.stdout.strip()) == (0, f"phdtrack {__version__}")
 
 
+def asked_by_shells(line: str) -> tuple[dict[str, str], dict[str, str]]:
+    """The environments in which bash and zsh ask for the completions of a line."""
+    bash = {"COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    zsh = {"_TYPER_COMPLETE_ARGS": line}
+    return (
+        bash | {"_PHDTRACK_COMPLETE": "complete_bash"},
+        zsh | {"_PHDTRACK_COMPLETE": "complete_zsh"},
+    )
+
+
+def test_shells_ask_the_program_itself() -> None:
+    bash, zsh = asked_by_shells("phdtrack track --filter gm")
+    done = run(sys.executable, "-m", "phdtrack", environment=bash)
+    assert (done.returncode, done.stdout.split()) == (0, ["gm-phd", "gm-cphd"])
+    done = run(sys.executable, "-m", "phdtrack", environment=zsh)
+    assert done.returncode == 0
+    assert all(f'"{word}"' in done.stdout for word in ("gm-phd", "gm-cphd"))
+
+
 @pytest.mark.parametrize(
     ("line", "found"),
     [
@@ -88,16 +108,12 @@ def test_both_entry_points_are_the_same() -> None:
     ],
 )
 def test_a_shell_completes_commands_their_options_and_names(line: str, found: list[str]) -> None:
-    asked = {
-        "_PHDTRACK_COMPLETE": "complete_bash",
-        "COMP_WORDS": line,
-        "COMP_CWORD": str(line.count(" ")),
-    }
-    done = run(sys.executable, "-m", "phdtrack", environment=asked)
-    assert (done.returncode, done.stdout.split()) == (0, found)
-    asked = {"_PHDTRACK_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": line}
-    done = run(sys.executable, "-m", "phdtrack", environment=asked)
-    assert done.returncode == 0
+    bash, zsh = asked_by_shells(line)
+    program = application(line.split()[1])
+    done = CliRunner().invoke(program, [], prog_name="phdtrack", env=bash)
+    assert (done.exit_code, done.stdout.split()) == (0, found)
+    done = CliRunner().invoke(program, [], prog_name="phdtrack", env=zsh)
+    assert done.exit_code == 0
     assert all(f'"{word}"' in done.stdout for word in found)
 
 
@@ -237,6 +253,7 @@ def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
     assert HEAVY.isdisjoint(loaded)
 
 
+@pytest.mark.slow
 def test_tracking_detections_loads_what_it_needs(tmp_path: Path) -> None:
     begun = modules("import phdtrack.cli.track\nprint(*sys.modules, sep='\\n')")
     # Pictures come with the report, and scores where there is truth; neither is waited for before

@@ -99,6 +99,7 @@ def test_label_leave_and_go_on(sequence):
     ]
 
 
+@pytest.mark.slow
 def test_a_detector_runs_once(sequence):
     page = Started("street", "--frames", "5", cwd=sequence)
     page.leave()
@@ -239,6 +240,7 @@ def suggested(*arguments, cwd):
     return found
 
 
+@pytest.mark.slow
 def test_suggestions_come_while_the_page_is_open(tmp_path):
     """A place that fires, and somebody who walks by: the page answers at once, and is told of the
     place a little later.

@@ -70,11 +70,17 @@ def options(street):
     return ("learn", *given)
 
 
-def test_a_door_and_a_flag_are_learned(street, tmp_path):
-    target = tmp_path / "scene.json"
-    said = phdtrack(*options(street), "--out", target, "--json")
+@pytest.fixture(scope="module")
+def learned(street):
+    """The words of the command with all marks, and the folder with its files."""
+    said = phdtrack(*options(street), "--out", street / "learned" / "scene.json", "--json")
     assert said.status == 0, said.err
-    scene = read_scene(target)
+    return said, street / "learned"
+
+
+def test_a_door_and_a_flag_are_learned(learned):
+    said, folder = learned
+    scene = read_scene(folder / "scene.json")
     births = scene.births
     clutter = scene.clutter
     # One every twelve frames.
@@ -88,23 +94,21 @@ def test_a_door_and_a_flag_are_learned(street, tmp_path):
     assert said.object["gain"]["births"] > 8
     assert said.object["gain"]["clutter"] > 5
     assert "tracks began in" in said.err
-    page = (tmp_path / "scene.html").read_text()
+    page = (folder / "scene.html").read_text()
     assert page.count("data:image/jpeg") == 2
     assert "Not learned" not in page
 
 
-def test_missed_objects_teach_where_objects_are(street, tmp_path):
+def test_missed_objects_teach_where_objects_are(street, learned, tmp_path):
     """On 40 frames somebody is drawn who stands where the detector never sees anybody."""
     shutil.copy(street / "labels", tmp_path / "labels")
     for number in range(1, 41):
         LabelStore(tmp_path / "labels").mark(
             number, [Label(number, DRAWN, "true", (300.0, 50.0, 330.0, 130.0))]
         )
-    scenes = []
-    for labels in (street / "labels", tmp_path / "labels"):
-        said = phdtrack(*options(street)[:-1], labels, "--out", tmp_path / f"{len(scenes)}.json")
-        assert said.status == 0, said.err
-        scenes.append(read_scene(tmp_path / f"{len(scenes)}.json"))
+    said = phdtrack(*options(street)[:-1], tmp_path / "labels", "--out", tmp_path / "scene.json")
+    assert said.status == 0, said.err
+    scenes = [read_scene(folder / "scene.json") for folder in (learned[1], tmp_path)]
     # 17 people on 538 of these frames' detections, and the 40.
     assert "200 frames, where the detector missed 40 of 578 objects (it detects 93 %)" in said.out
     without, drawn = (scene.followed.objects for scene in scenes)

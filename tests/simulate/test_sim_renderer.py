@@ -162,8 +162,8 @@ def test_leaves_move_in_every_frame() -> None:
 
 
 def test_lamps_flicker_and_noise_have_their_strength() -> None:
-    scene = make_scene("empty", 0, frames=300, detector=NOTHING)
-    moving = changing(scene, replace(STILL, lamps=4), 150)
+    scene = make_scene("empty", 0, frames=150, detector=NOTHING)
+    moving = changing(scene, replace(STILL, lamps=4), 75)
     assert 0 < moving.any(axis=(1, 2)).mean() < 1
     assert moving.any(axis=0).mean() < 0.03
     mean = np.array([f.image.mean() for f in video(scene, replace(STILL, flicker=0.03))])
