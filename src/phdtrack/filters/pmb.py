@@ -185,9 +185,7 @@ class PMB(Checked, Filter[Bernoullis]):
         ever.
     mean_occluded_time : seconds for which, on average, it then cannot.
     static_clutter_prior : probability that a first detection which is no single false alarm is
-        static clutter; over an interval of T > 1 time units 1/T of it, as targets of slow streams
-        stand still from frame to frame, too. Where scores tell lasting false alarms
-        (`ScoredClutter`), none is.
+        static clutter. Where scores tell lasting false alarms (`ScoredClutter`), none is.
     static_clutter_detection_probability : probability that static clutter is detected in a frame.
     lasting_clutter_prior : probability that a target is a false alarm that lasts, before its scores
         are known; 0, and where scores say nothing: none is.

@@ -187,11 +187,17 @@ def predicted_layer(
                     h.genuine = prior + remembered * (h.genuine - prior)
             h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
         _depart(target, hypotheses, depart)
-        presence = 0.0
-        for c in range(target.begin, target.end):
-            presence += target.r * hypotheses[c].weight * probability(hypotheses[c].genuine)
-        target.presence = presence
+        target.presence = _presence(target, hypotheses)
     return Layer(targets, hypotheses, mean, cov)
+
+
+@njit(**INNER)
+def _presence(target: Any, hypotheses: Records) -> float:
+    """The probability that a target exists and is no clutter."""
+    presence = 0.0
+    for c in range(target.begin, target.end):
+        presence += target.r * hypotheses[c].weight * probability(hypotheses[c].genuine)
+    return presence
 
 
 @njit(**INNER)
@@ -243,13 +249,14 @@ def updated_layer(
     m, scores : the measurements with κ(z), and what their scores say.
     new : the targets whose first detections these would be, which are labelled from ``fresh`` on.
     s : settings of the filter.
+    jumps : how velocities may be new.
 
     Returns
     -------
     The targets; of `types.UpdateInfo` the predicted, the newborn and the updated mass, C(z), the
     probabilities of false alarms, ``vanished`` and ``detected``; the best hypothesis of the frame
-    before of each target that was once confirmed and has been deleted; and (T,) the
-    probabilities with which deleted targets exist, 0 of others.
+    before of each target that was once confirmed and has been deleted; (T,) the probabilities with
+    which deleted targets exist, 0 of others; and what `_detections` counts.
     """
     layer = Layer(*layer)
     e = Expected(*e)
@@ -260,7 +267,6 @@ def updated_layer(
     jumps = Jumps(*jumps)
     targets, hypotheses, mean, covariance = layer
     count = len(targets)
-    n = len(m.z)
     p_detect, visible, tails = _detection_terms(hypotheses, e.p_detect, s)
     # Gate
     pairs = _gated(e, m, s.gate, p_detect, tails)
@@ -279,7 +285,7 @@ def updated_layer(
             pairs = merged_pairs(pairs, more, targets, jump)
     # Associate
     exists = np.empty(count)
-    measured = np.empty((3, n))
+    measured = np.empty((3, len(m.z)))
     born, vanished, started = _associate(
         (targets, hypotheses, p_detect),
         pairs,
@@ -297,16 +303,14 @@ def updated_layer(
     options = np.empty(len(hypotheses) + len(pairs), PAIR)
     kept = np.empty(count, np.int64)
     k = _choose((targets, hypotheses, p_detect), pairs, exists, s, options, kept)
-    options = options[:k]
     room = k + (1 + s.motions) * started
-    d = mean.shape[1]
     out = Layer(
         np.empty(count + started, TARGET),
         np.empty(room, HYPOTHESIS),
-        np.empty((room, d)),
-        np.empty((room, d, d)),
+        np.empty((room, mean.shape[1])),
+        np.empty((room, mean.shape[1], mean.shape[1])),
     )
-    write_posteriors(mean, covariance, e, m, options, out.mean, out.covariance)
+    write_posteriors(mean, covariance, e, m, options[:k], out.mean, out.covariance)
     gone = np.empty(count, np.int64)
     t, k, lost, mass = _write_kept(
         (layer, visible), exists, kept, options, scores, s, len(m.period) > 2, out, gone
@@ -315,15 +319,7 @@ def updated_layer(
     # Add the new targets
     k, mass = _write_new(r_new, (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
     after = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
-    learned = (
-        born + predicted,
-        born,
-        mass,
-        evidence,
-        false_alarm,
-        vanished,
-        detected,
-    )
+    learned = born + predicted, born, mass, evidence, false_alarm, vanished, detected
     return after, learned, gone[:lost], exists, counted
 
 
