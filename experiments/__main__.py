@@ -65,6 +65,10 @@ EXPERIMENTS = {
     "rates": Experiment(
         "the same settings from one image in five minutes to a hundred a second, with lost frames"
     ),
+    "regimes": Experiment(
+        "the operating envelope: simple scenes from one to sixty frames a second, fast objects,"
+        " rare detections, and regimes drawn at random"
+    ),
 }
 
 
@@ -102,6 +106,12 @@ def parser() -> argparse.ArgumentParser:
         "--jobs", type=int, default=0, metavar="N", help="processes; default: one for each core"
     )
     out.add_argument(
+        "--seed",
+        type=int,
+        metavar="N",
+        help="seed of cases that are drawn at random (regimes); default: its own",
+    )
+    out.add_argument(
         "--check",
         action="store_true",
         help="list pages that are older than their code and settings",
@@ -115,6 +125,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parsed = command.parse_args(arguments)
     if parsed.runs < 0 or parsed.jobs < 0:
         command.error("--runs and --jobs are numbers from 1 on; 0 stands for the default")
+    if parsed.seed is not None and parsed.seed < 0:
+        command.error("--seed is a number from 0 on")
     if parsed.list or not (parsed.names or parsed.check):
         print(
             "\n".join(
@@ -165,7 +177,7 @@ def run(names: Sequence[str], parsed: argparse.Namespace) -> None:
     for name in names:
         began = time.perf_counter()
         importlib.import_module(f"experiments.{name}").main(
-            Options(parsed.runs, parsed.quick, parsed.out, parsed.jobs, name)
+            Options(parsed.runs, parsed.quick, parsed.out, parsed.jobs, name, parsed.seed)
         )
         print(f"{name}: done in {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
 

@@ -58,6 +58,8 @@ class Options:
         runs/experiments-quick.
     jobs : number of processes; 0: one for each core.
     name : of the experiment, which may have pages of other names.
+    seed : of cases that are drawn at random; None: the experiment's own. Ignored by experiments
+        that draw none.
 
     The folder of the real sequences comes from the environment (`need_data`), because worker
     processes need it too.
@@ -68,6 +70,7 @@ class Options:
     out: Path | None = None
     jobs: int = 0
     name: str = ""
+    seed: int | None = None
 
     def number(self, usual: int, quick: int) -> int:
         """Number of runs: the requested one, else ``quick`` in the short form and ``usual`` in the
@@ -329,7 +332,8 @@ def write(name: str, options: Options, **values: object) -> Path:
             " results.*\n\n" + text
         )
     runs = f" --runs {options.runs}" if options.runs else ""
-    command = f"python -m experiments {options.name or name}{runs}"
+    seed = "" if options.seed is None else f" --seed {options.seed}"
+    command = f"python -m experiments {options.name or name}{runs}{seed}"
     text += made.record(options.folder, name, command, made.loaded() | _LOADED)
     path = options.folder / f"{name}.md"
     path.write_text(text, encoding="utf-8")
