@@ -138,7 +138,13 @@ class BackDated(NamedTuple):
     covariance: F8
 
     def rows(self, observed: list[Moment], identity: int, weight: float, model: Model) -> Tracks:
-        """The rows at the detections."""
+        """The rows at the detections.
+
+        Parameters
+        ----------
+        observed : the moments that were observed, of which `path` counts.
+        identity, weight, model : of the track's rows, and of the last frame.
+        """
         frames, detections = np.array([(observed[k].number, row) for k, row in self.path]).T
         boxes = model.sensor.boxes(np.ascontiguousarray(self.mean[1:].T))
         return Tracks.of(frames, identity, boxes, weight, detections)
@@ -146,8 +152,12 @@ class BackDated(NamedTuple):
     def unobserved_rows(
         self, moments: list[Moment], places: list[int], identity: int, weight: float, model: Model
     ) -> list[Tracks]:
-        """The rows in the unobserved frames between, with the states at ``places`` (n + 1) of
-        ``moments``.
+        """The rows in the unobserved frames between.
+
+        Parameters
+        ----------
+        moments, places : all moments, and where the n + 1 states are among them.
+        identity, weight, model : of the track's rows, and of the last frame.
         """
         parts = []
         for k, (later, earlier) in enumerate(itertools.pairwise(places)):

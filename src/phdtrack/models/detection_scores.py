@@ -229,7 +229,9 @@ def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8,
         known = x[~np.isnan(x)]
         if len(known):
             best = float(known.max())
-            level = max(best, level - (level - best) / LEVEL_FRAMES)
+            if best < level:
+                best = level - (level - best) / LEVEL_FRAMES
+            level = best
             x = x + max(GOOD - level, 0.0)
         return (low, high), kind, x, state.scores, level
     known = np.concatenate([state.scores, score[~np.isnan(score)]])[-KEPT:]
