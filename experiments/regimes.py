@@ -296,8 +296,8 @@ def summary(grid: Sequence[RegimeScores], drawn: Sequence[RegimeScores]) -> str:
         " second, speed, kind of scores, how often the detector runs, p_D, clutter, noise, size),"
         f" online MOTA or IDF1 is more than {MARGIN:.2f} behind the best of SORT, ByteTrack and"
         f" OC-SORT in {behind(grid, MARGIN)}, and MOTA is {MARGIN:.2f} or more ahead in"
-        f" {ahead(grid, MARGIN)}. In {len(drawn)} regimes drawn at random, with three or four things"
-        f" changed at once, it is more than {RANDOM_MARGIN:.2f} behind in"
+        f" {ahead(grid, MARGIN)}. In {len(drawn)} regimes drawn at random, with three or four"
+        f" things changed at once, it is more than {RANDOM_MARGIN:.2f} behind in"
         f" {behind(drawn, RANDOM_MARGIN)} and as far ahead in {ahead(drawn, RANDOM_MARGIN)}."
     )
     return textwrap.fill(text, 100)
