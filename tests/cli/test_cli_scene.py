@@ -125,6 +125,6 @@ def test_who_stays_among_lights_that_tremble_is_held_back(tmp_path: Path):
     for each in (plain, kept, learned):
         print({name: each[name] for name in ("MOTA", "false_positives", "false_tracks", "misses")})
     assert learned["false_tracks"] < plain["false_tracks"]
-    assert learned["false_positives"] < 0.6 * min(kept["false_positives"], plain["false_positives"])
+    assert learned["false_positives"] < 0.8 * min(kept["false_positives"], plain["false_positives"])
     assert learned["misses"] <= 1.15 * plain["misses"], "the people are there"
     assert learned["MOTA"] > max(0.65, plain["MOTA"] + 0.2)

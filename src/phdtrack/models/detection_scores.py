@@ -37,7 +37,7 @@ import numpy as np
 
 from phdtrack.errors import Checked, InputError, Positive, Share
 from phdtrack.kernels.detection_scores import LOGIT, RANK, Line, chained, neighbours, newton, scaled
-from phdtrack.models.clutter import ScoredClutter
+from phdtrack.models.clutter import BoxClutter, ScoredClutter, UniformClutter
 from phdtrack.protocols import Learning, Model
 from phdtrack.types import F8, I8, Detections, Step
 
@@ -181,9 +181,13 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         """
         single, lasting = self.log_odds(detections.confidence, state)
         more = max(state.alone[0] / state.alone[1] / self.usual_alone, 1.0)
-        near, seen = state.near
-        most = (NEAR_PRIOR * NEAR + near) / (NEAR_PRIOR + seen)
-        more *= min(max(most / NEAR, 0.05), 1.0)
+        # What a scene has taught of false alarms, or a user says of a frame's, stands.
+        clutter = model.clutter
+        stated = isinstance(clutter, BoxClutter) and clutter.clutter_per_frame > 0
+        if isinstance(clutter, BoxClutter | UniformClutter) and not stated:
+            near, seen = state.near
+            most = (NEAR_PRIOR * NEAR + near) / (NEAR_PRIOR + seen)
+            more *= min(max(most / NEAR, 0.05), 1.0)
         return replace(model, clutter=ScoredClutter(model.clutter, np.exp(single), lasting, more))
 
     def advance(self, state: ScoresSeen, step: Step) -> ScoresSeen:
