@@ -37,6 +37,7 @@ from phdtrack.kernels.gaussian import (
     Measurements,
     NewTargets,
     Predicted,
+    copy_gaussian,
     gated,
     records,
     write_posteriors,
@@ -639,19 +640,6 @@ def probability(log_odds: float) -> float:
     """The probability that corresponds to these log odds."""
     p: float = 1.0 / (1.0 + np.exp(-log_odds)) if log_odds < CERTAIN else 1.0
     return p
-
-
-@njit(**INNER)
-def copy_gaussian(
-    mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F8, k: int
-) -> None:
-    """Copy Gaussian i to place k. In loops: an assignment of rows would compile Numba's code for
-    its error messages.
-    """
-    for a in range(mean.shape[1]):
-        out_mean[k, a] = mean[i, a]
-        for b in range(mean.shape[1]):
-            out_covariance[k, a, b] = covariance[i, a, b]
 
 
 @njit(**INNER)
