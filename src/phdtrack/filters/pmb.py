@@ -291,10 +291,8 @@ class PMB(Checked, Filter[Bernoullis]):
         freedom = self.noise_freedom, math.exp(-1 / self.noise_memory)
         genuine = self._prior, math.exp(-1 / SCORE_MEMORY)
         seconds = dt / model.rate
-        depart = -math.expm1(-seconds / MEAN_STANDING_TIME)
-        layer = predicted_layer(
-            now, after, noise, *self._changes(seconds), depart, freedom, genuine
-        )
+        stand = -seconds / MEAN_STANDING_TIME
+        layer = predicted_layer(now, after, noise, *self._changes(seconds), stand, freedom, genuine)
         unseen = survived(state.undetected, model, dt, self.transform)
         return Bernoullis(
             (*state.layers[-self.history :], layer),

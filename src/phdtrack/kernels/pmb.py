@@ -135,7 +135,7 @@ def predicted_layer(
     noise: F8,
     occlude: float,
     reappear: float,
-    depart: float,
+    stand: float,
     freedom: tuple[float, float],
     genuine: tuple[float, float],
 ) -> Layer:
@@ -144,9 +144,10 @@ def predicted_layer(
 
     ``noise`` (d, C): deviations by which the sensor resolves them, `Sensor.noise`. ``occlude``,
     ``reappear``: probabilities that a visible target is occluded after the interval, and an
-    occluded one visible. ``depart``: that a target that stands still begins to move. ``freedom``:
-    the degrees of freedom with which a target's noises begin, 0 where they are the model's, and the
-    part of what is known of them that is kept; in place of the rest they are the model's again.
+    occluded one visible. ``stand``: the logarithm of the probability that a target that stands
+    still still does. ``freedom``: the degrees of freedom with which a target's noises begin, 0
+    where they are the model's, and the part of what is known of them that is kept; in place of the
+    rest they are the model's again.
     ``genuine``: the log odds with which a target is genuine before its scores are known, and the
     part kept of the evidence of scores.
     """
@@ -187,7 +188,7 @@ def predicted_layer(
                 if h.genuine < prior + PROVED:
                     h.genuine = prior + remembered * (h.genuine - prior)
             h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
-        _depart(target, hypotheses, depart)
+        _depart(target, hypotheses, stand)
         target.presence = _presence(target, hypotheses)
     return Layer(targets, hypotheses, mean, cov)
 
@@ -202,10 +203,11 @@ def _presence(target: Any, hypotheses: Records) -> float:
 
 
 @njit(**INNER)
-def _depart(target: Any, hypotheses: Records, depart: float) -> None:
+def _depart(target: Any, hypotheses: Records, stand: float) -> None:
     """Move the weight of a standing target that begins to move by now to its hypotheses that move
-    [PMB (11)].
+    [PMB (11)]. ``stand``: the logarithm of the probability that it does not.
     """
+    depart = -math.expm1(stand)
     moving = 0.0
     moves = 0.0
     for c in range(target.begin, target.end):
@@ -222,7 +224,7 @@ def _depart(target: Any, hypotheses: Records, depart: float) -> None:
             moves += part
             h.weight -= part
             if genuine < 1.0:
-                h.genuine += math.log1p(-depart)
+                h.genuine = _within(h.genuine + stand)
     for c in range(target.begin, target.end):
         h = hypotheses[c]
         if not h.static:
