@@ -166,11 +166,11 @@ def test_target_that_bounces_keeps_its_identity(speed: float):
     assert set(tracker.tracks().identity) == {1}
 
 
-@pytest.mark.parametrize("speed", [250.0, 500.0, 750.0])
+@pytest.mark.parametrize("speed", [250.0, 500.0, 750.0, 1000.0, 1500.0, 2500.0])
 def test_fast_target_is_found_by_its_fifth_detection(speed: float):
     """Alone in the picture, with boxes of 60 pixels."""
     rng = np.random.default_rng(0)
-    tracker = Tracker((1920, 1080), fps=25.0)
+    tracker = Tracker((3840, 2160), fps=25.0)
     shown = []
     for k in range(20):
         x = 50 + k * speed / 25

@@ -265,6 +265,7 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled,
 
     targets = [(r, [replace(x, source=c) for c, x in enumerate(forms)]) for r, forms in targets]
     seen = [[of_any(x) for x in forms] for _, forms in targets]
+    sizes = [len(forms) for _, forms in targets]
     if turn:
         targets = with_new_velocities(targets, z, h, noise, seen, s, *turn)
         seen = [[of_any(x) for x in forms] for _, forms in targets]
@@ -338,7 +339,9 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled,
             key=lambda x: -x.weight,
         )
         kept = kept[: s.max_hypotheses]
-        if kept and (after >= s.existence_threshold or after > r):
+        turns = len(forms) > sizes[t]
+        threshold = s.existence_threshold * (0.003 if turns else 1)
+        if kept and (after >= threshold or after > r):
             out.append(
                 (
                     t,

@@ -174,7 +174,7 @@ class PMB(Checked, Filter[Bernoullis]):
     existence_threshold : targets that exist with less probability are deleted, and given back to
         those never detected where births are a mixture; unless that probability has just risen: a
         detection that no existing target explains better may start a target, however rare births
-        are.
+        are; or unless it has a new velocity, which its next detection decides about.
     hypothesis_threshold : hypotheses of a target that are less probable are dropped.
     max_hypotheses : hypotheses kept of a target, the most probable.
     merge_distance : hypotheses of a target that are within so many deviations of a heavier one are

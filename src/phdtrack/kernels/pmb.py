@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels import F8, I8, Records
+from phdtrack.kernels import F8, I8, Bool, Records
 from phdtrack.kernels.association import EDGE, beliefs
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
@@ -274,6 +274,7 @@ def updated_layer(
     # Gate
     pairs = _gated(e, m, s.gate, p_detect, tails)
     # Give new velocities to targets that nothing is near
+    jump = np.zeros(count, np.bool_)
     if len(jumps.speed) > 0:
         least = UNLIKELY * s.existence_threshold
         jump = jumping(targets, mean, covariance, pairs, e, m.z, jumps, least)
@@ -305,7 +306,7 @@ def updated_layer(
     # Update each hypothesis with each of its measurements, and keep the most probable
     options = np.empty(len(hypotheses) + len(pairs), PAIR)
     kept = np.empty(count, np.int64)
-    k = _choose((targets, hypotheses, p_detect), pairs, exists, s, options, kept)
+    k = _choose((targets, hypotheses, p_detect), pairs, exists, jump, s, options, kept)
     room = k + (1 + s.motions) * started
     out = Layer(
         np.empty(count + started, TARGET),
@@ -541,6 +542,7 @@ def _choose(
     before: tuple[Records, Records, F8],
     pairs: Records,
     exists: F8,
+    jump: Bool,
     s: Settings,
     options: Records,
     kept: I8,
@@ -570,8 +572,10 @@ def _choose(
             unseen = exists[t] / unseen
         exists[t] = total if total < 1.0 else 1.0
         kept[t] = 0
-        # A target whose probability has just risen may have begun, however rare births are.
-        if not (total >= s.existence_threshold or total > target.r):
+        # A target whose probability has just risen may have begun, however rare births are. One
+        # with a new velocity is judged by its next measurement, which that velocity predicts.
+        least_r = s.existence_threshold * (UNLIKELY if jump[t] else 1.0)
+        if not (total >= least_r or total > target.r):
             continue
         # What stands still may go, so that the hypotheses that move are compared with each other.
         stands = _standing(target, hypotheses, p_detect, pairs[begun:q], unseen)
