@@ -59,6 +59,10 @@ EXPERIMENTS = {
     "cameras": Experiment(
         "new cameras and detectors, compared with other trackers, cross-validated over groups"
     ),
+    "degraded": Experiment(
+        "the real sequences without scores, at a third of the rate, and with half of the"
+        " detections, compared with other trackers"
+    ),
     "classes": Experiment(
         "overlaid cars and people, tracked with classes, separately, and without classes"
     ),
