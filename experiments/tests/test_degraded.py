@@ -75,7 +75,7 @@ def test_stored_scores_have_every_peer_in_every_case():
     assert len(found) == len(cases) * len(CHANGES) * len(PEERS)
 
 
-def test_the_mean_is_over_groups_and_the_best_peer_by_its_own_mean():
+def test_best_peer_of_the_mean_is_best_by_its_own_mean():
     def one(tracker: str, group: str, case: str, value: float) -> degraded.DegradedScores:
         return degraded.DegradedScores("no scores", tracker, group, case, (value, value, value))
 

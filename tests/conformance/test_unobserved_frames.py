@@ -229,6 +229,30 @@ def test_corrected_tracks_go_on_through_unobserved_frames(kind: str, camera: str
     assert (sparse.frame % EVERY == 1).all()
 
 
+@pytest.mark.parametrize("every", [2, 5, 12])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "mcmc"])
+def test_tracks_go_on_until_the_detector_is_overdue(kind: str, every: int) -> None:
+    """A walker at 25 frames a second; the detector runs in every so many frames, then no more. A
+    predicted row is as near as the walker's next steps can be known.
+    """
+    rng = np.random.default_rng(0)
+    tracker = Tracker((1280, 720), fps=25, filter=kind, seed=1)
+    last = 12 * every
+    shown = []
+    for k in range(last + 4 * every):
+        box = np.array([[50 + 2.5 * k, 300, 110 + 2.5 * k, 480]])
+        runs = k % every == 0 and k <= last
+        rows = tracker.update(box + rng.normal(0, 1, (1, 4)) if runs else UNSEEN)
+        shown.append(len(rows))
+        if k <= last and kind != "none":
+            assert (np.abs(rows.xyxy - box) < 15).all()
+    assert shown[8 * every : last + 1] == [1] * (4 * every + 1)
+    overdue = last + 1 + 3 * every // 2
+    assert shown[last:overdue] == [1] * (overdue - last)
+    # Tracks that the detector has missed may go on for 0.2 s.
+    assert not any(shown[max(overdue, last + 6) :])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_motions_of_unobserved_frames_add_up(kind: str) -> None:
     plain = tracker_of(kind)

@@ -36,6 +36,7 @@ from phdtrack.associate.history import (
     observed_only,
     open_links,
     rows_of,
+    seen_until,
 )
 from phdtrack.errors import (
     Checked,
@@ -524,17 +525,20 @@ class GraphMatching(Checked):
         self, state: GraphState, place: int, probability: list[float], model: Model
     ) -> int:
         """For how many observed frames without a state tracks are continued: while more come back
-        than do not, and ``max_coast``. −1 for none, not even those of the last observed frame.
+        than do not, and ``max_coast``. −1 for none, not even those of the last observed frame,
+        which end where the detector is overdue.
         """
         history = state.history
         longest = self.max_coast * model.rate + 1e-9
-        now = max(state.time, history[place].time)
+        now = max(state.time, seen_until(history, place, history.forgotten))
         ages = iter(probability[sum(history[k].observed for k in range(place + 1, len(history))) :])
         most = -1
         for earlier in range(place, history.forgotten - 1, -1):
             if not history[earlier].observed:
                 continue
-            if now - history[earlier].time > longest or next(ages, 0.0) <= 0.5:
+            # Where no detector ran, the tracks of the last frame are not missing.
+            returns = next(ages, 0.0) > 0.5 or (most < 0 and not history[place].observed)
+            if now - history[earlier].time > longest or not returns:
                 break
             most += 1
         return most

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -22,6 +23,8 @@ HISTORY = 600.0
 # before.
 CHUNK = 32
 
+# A detector is overdue this many intervals of its last two frames after the last.
+OVERDUE = 1.5
 # Frames in a row without detection that are remembered: tracks are not continued for longer.
 MOST_UNOBSERVED = 300
 
@@ -132,12 +135,43 @@ class History:
         return itertools.chain(*self.full, self.recent)
 
 
+class Moments(Protocol):
+    """Moments by their places."""
+
+    def __getitem__(self, place: int, /) -> Moment:
+        """The moment at a place."""
+
+
 def unobserved_at_end(moments: History | Sequence[Moment], first: int = 0) -> list[Moment]:
     """The moments since the last that was observed, of those from place ``first`` on."""
     begin = len(moments)
     while begin > first and not moments[begin - 1].observed:
         begin -= 1
     return [moments[k] for k in range(begin, len(moments))]
+
+
+def seen_until(moments: Moments, place: int, first: int) -> float:
+    """The model time up to which something is known of a moment.
+
+    Its own where it was observed. Otherwise that of the last moment that was: no track is missing
+    for want of a detector. Where the detector is overdue, its own again.
+
+    Parameters
+    ----------
+    moments, place : the moments, and the place of the one that is asked for.
+    first : the first place that is held.
+    """
+    moment = moments[place]
+    times: list[float] = []
+    k = place
+    while k >= first and len(times) < 2 and place - k <= 2 * MOST_UNOBSERVED:
+        if moments[k].observed:
+            times.append(moments[k].time)
+        k -= 1
+    if len(times) < 2:
+        return moment.time
+    newest, before = times
+    return newest if moment.time - newest <= OVERDUE * (newest - before) else moment.time
 
 
 def next_moment(

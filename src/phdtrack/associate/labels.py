@@ -35,6 +35,7 @@ from phdtrack.associate.history import (
     measurements,
     next_moment,
     rows_of,
+    seen_until,
     unobserved_at_end,
 )
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
@@ -139,6 +140,10 @@ class LabelledState:
         if place < settled:
             return self.history[place]
         return self.recent[place - settled]
+
+    def seen_until(self, place: int) -> float:
+        """See `history.seen_until`."""
+        return seen_until(self, place, self.history.forgotten)
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,11 +296,12 @@ class Labelled(Checked):
         place = present.places(estimates.tag)
         confirmed = self._confirmed(present, place)
         last = present.last[place]
-        coasting = moment.time - last <= self.max_coast * model.rate + 1e-9
+        here = state.seen_until(due)
+        coasting = here - last <= self.max_coast * model.rate + 1e-9
         if self.coast_by_evidence:
-            age = (state[len(state) - 1].time - last) / model.rate
+            age = (state.seen_until(len(state) - 1) - last) / model.rate
             coasting = returning(state.followed.verdicts, age, coasting, PRIOR, SHARE) | (
-                last >= moment.time
+                last >= here
             )
         coasting = self.bridge_gaps & confirmed & coasting
         if not moment.observed:

@@ -322,9 +322,14 @@ def updated_layer(
     exists[kept > 0] = 0.0
     # Add the new targets
     k, mass = _write_new(r_new, (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
-    after = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
     learned = born + predicted, born, mass, evidence, false_alarm, vanished, detected
-    return after, learned, gone[:lost], exists, counted
+    return (
+        Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k]),
+        learned,
+        gone[:lost],
+        exists,
+        counted,
+    )
 
 
 @njit(**INNER)
