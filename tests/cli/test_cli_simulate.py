@@ -141,6 +141,7 @@ def test_both_runs_and_where_to_look(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
 def test_the_filter_is_better_whatever_the_seed(seed: int, tmp_path: Path) -> None:
     said = phdtrack("demo", "--out", tmp_path / "demo", "--seed", seed, "--json")
+    assert "warning" not in said.err
     with_filter = said.object["with_filter"]["scores"]
     without = said.object["without_filter"]["scores"]
     # MODA may fall: it counts no identities, and the filter waits before it reports.

@@ -39,6 +39,8 @@ _HIDDEN = (
     "In all pictures {} of detections and tracks are hidden; objects that were neither detected nor"
     " tracked are visible."
 )
+# Tracks that are known to be right are not doubted.
+GOOD_MOTA = 0.5
 _SHAKES = "The camera shakes: each picture was aligned with the scene before it was compared."
 
 
@@ -65,7 +67,9 @@ def write_report(
     record = replace(progress.recorder.record(tracks, options.about), names=run.names)
     confirmed = _confirmation(run, progress)
     background = run.inputs.described in BACKGROUND
-    wrong = scene_warnings(run.inputs.detector) or doubts(record, background=background)
+    wrong = scene_warnings(run.inputs.detector)
+    if not wrong and (scores is None or scores.MOTA < GOOD_MOTA):
+        wrong = doubts(record, background=background)
     about = replace(
         options.about,
         seconds=seconds[0],
