@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from phdtrack.input_checks.class_changes import ClassLinks, class_warning, with_links
+from phdtrack.input_checks.empty_frames import EmptyFrames, empty_frames_warning, with_frame
 from phdtrack.input_checks.equal_scores import FirstScores, score_warning, with_scores
 from phdtrack.input_checks.time_units import FrameTimes, with_time
 from phdtrack.input_checks.unused_detections import (
@@ -39,6 +40,7 @@ class Settled(NamedTuple):
     use: bool = False
     classes: bool = False
     scores: bool = False
+    empty: bool = False
 
 
 class StreamSeen(NamedTuple):
@@ -47,7 +49,7 @@ class StreamSeen(NamedTuple):
     Attributes
     ----------
     settled : the checks that are over.
-    times, counts, links, first : what each of them remembers.
+    times, counts, links, first, empty : what each of them remembers.
     boxes, labels, length : (m, 4) boxes of the last observed frame, (m,) their classes, and
         (m + 1,) how many frames in a row each has come, and a 0; empty while nothing needs them.
     """
@@ -57,6 +59,7 @@ class StreamSeen(NamedTuple):
     counts: UseCounts = UseCounts()
     links: ClassLinks = ClassLinks()
     first: FirstScores = FirstScores()
+    empty: EmptyFrames = EmptyFrames()
     boxes: F8 = _NO_BOXES
     labels: I8 = _NO_LABELS
     length: I8 = _NO_CHAINS
@@ -115,6 +118,8 @@ class StreamChecks:
         """Take in an observed frame; add its warnings."""
         if not seen.settled.scores:
             seen = _with_scores(seen, step.detections.confidence, warnings)
+        if not seen.settled.empty:
+            seen = _with_frame(seen, len(step.detections), warnings)
         use = not seen.settled.use
         classes = len(labels) > 0 and not seen.settled.classes
         if not (use or classes):
@@ -163,6 +168,16 @@ def _with_scores(seen: StreamSeen, score: F8, warnings: list[str]) -> StreamSeen
         warnings.append(warning)
     settled = seen.settled._replace(scores=True)
     return seen._replace(settled=settled, first=first.judged())
+
+
+def _with_frame(seen: StreamSeen, detections: int, warnings: list[str]) -> StreamSeen:
+    """Count the detections of a frame; add a warning of those without any."""
+    empty = with_frame(seen.empty, detections)
+    if not (empty.regular or empty.well):
+        return seen._replace(empty=empty)
+    if empty.regular:
+        warnings.append(empty_frames_warning(empty))
+    return seen._replace(settled=seen.settled._replace(empty=True), empty=EmptyFrames())
 
 
 @runtime_checkable
