@@ -91,8 +91,8 @@ def test_report_is_one_offline_file_with_every_part() -> None:
     words = page.words.replace("\u00a0", " ")
     for expected in (
         "2 objects in 24 frames (2.3 s of video)",
-        "About 12 of 48 detections (25 %) were rejected as false alarms.",
-        "33 % of the track boxes",
+        "About 12 of 48 detections (25 %) were rejected as false alarms, 0.5 a frame.",
+        "The detector finds 67 % of the tracked objects in a frame; the other track boxes are",
         "Speed: 100.0 frames/s.",
         "1 min 40 s",
         "0.812",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import tracemalloc
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,7 @@ from report_runs import HIGH, WIDE, run_record, step, walkers
 
 from phdtrack.report import About, Recorder, run_document, sentences
 from phdtrack.report.pages import doubts
+from phdtrack.report.record import Whole
 from phdtrack.types import Frame, SequenceInfo, Tracks, Truth
 
 INFO = SequenceInfo(WIDE, HIGH, 10.0)
@@ -133,3 +136,16 @@ def test_endless_source_counts_all_frames_and_charts_the_last():
     assert record.frames_per_second == pytest.approx(10.0)
     document = run_document(record, {})
     assert (document["frames"], document["tracks"], document["track_rows"]) == (30, 2, 60)
+
+
+def test_detection_rate_counts_observed_frames_only() -> None:
+    """Two walkers, of whom one is missed in every other frame; no detector ran in frames 5 to 8."""
+    whole = Whole(8, 0.3, 12, 0.0, Counter(), 0, 0, 4, 0)
+    frame = np.tile(np.arange(1, 9), 2)
+    identity = np.repeat([1, 2], 8)
+    detection = np.where((frame > 4) | ((identity == 2) & (frame % 2 == 0)), -1, 0)
+    tracks = Tracks.of(frame, identity, np.tile([0.0, 0, 9, 9], (16, 1)), 1.0, detection)
+    counted = whole.with_rows(tracks, range(5, 9))
+    assert (counted.rows, counted.predicted, counted.missed) == (16, 10, 2)
+    assert counted.detection_rate == pytest.approx(6 / 8)
+    assert math.isnan(whole.detection_rate)

@@ -16,8 +16,8 @@ from phdtrack.types import SequenceInfo, Tracks
 
 KEYS = """
 command title summary versions seed started seconds source frames frames_per_second stages tracks
-track_rows predicted_rows detections expected_false_alarms expected_count_mean scores warnings notes
-configuration frames_left_out
+track_rows predicted_rows detection_rate detections expected_false_alarms expected_count_mean scores
+warnings notes configuration frames_left_out
 log_evidence_mean log_evidence
 """
 
@@ -40,6 +40,7 @@ def test_run_document_has_its_keys_and_values() -> None:
     assert document["versions"] == {"phdtrack": "1"}
     assert (document["frames"], document["tracks"], document["detections"]) == (9, 2, 18)
     assert (document["track_rows"], document["predicted_rows"]) == (18, 6)
+    assert document["detection_rate"] == pytest.approx(12 / 18)
     assert document["frames_per_second"] == pytest.approx(100)
     stages = document["stages"]
     assert isinstance(stages, dict)

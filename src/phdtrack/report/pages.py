@@ -59,7 +59,7 @@ def environment() -> Environment:
     made.globals["charts"] = charts
     made.filters |= {
         function.__name__: function
-        for function in (grouped, counted, duration, percent, score, known_mean)
+        for function in (grouped, counted, duration, percent, rate, score, known_mean)
     }
     return made
 
@@ -146,6 +146,7 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "tracks": record.whole.objects,
         "track_rows": record.whole.rows,
         "predicted_rows": record.whole.predicted,
+        "detection_rate": record.whole.detection_rate,
         "detections": record.whole.detections,
         "expected_false_alarms": record.whole.false_alarms,
         "expected_count_mean": known_mean(record.mass),
@@ -194,6 +195,13 @@ def percent(part: float, whole: float = 1.0) -> str:
     share = 100 * part / whole
     decimals = 1 if 0 < share < 10 else 0
     return f"{share:.{decimals}f}{_NBSP}%"
+
+
+def rate(number: float) -> str:
+    """A number with two digits below 10, and as `grouped` from there on."""
+    if number < 9.95:
+        return f"{number:.2g}"
+    return grouped(number)
 
 
 def score(value: float) -> str:

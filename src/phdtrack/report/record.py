@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -65,6 +65,7 @@ class Whole(NamedTuple):
     detections, false_alarms : number of detections, and the expected number of false ones.
     classes : number of objects of each class.
     rows, predicted : rows of the corrected tracks, and those without a detection.
+    observed, missed : frames in which a detector ran, and the predicted rows in them.
     """
 
     frames: int
@@ -74,20 +75,41 @@ class Whole(NamedTuple):
     classes: Counter[int]
     rows: int
     predicted: int
+    observed: int
+    missed: int
 
     @property
     def objects(self) -> int:
         """Number of objects of all classes."""
         return self.classes.total()
 
-    def with_rows(self, rows: Tracks, *known: set[int]) -> Whole:
-        """Add corrected rows; ``known`` identities have been counted before."""
+    @property
+    def detection_rate(self) -> float:
+        """The share of tracked objects that is detected in a frame in which a detector ran; NaN
+        without rows.
+        """
+        found = self.rows - self.predicted
+        if not found:
+            return math.nan
+        return found / (found + self.missed)
+
+    def with_rows(self, rows: Tracks, unobserved: Iterable[int], *known: set[int]) -> Whole:
+        """The counts with more corrected rows.
+
+        Parameters
+        ----------
+        rows : to add.
+        unobserved : frames in which no detector ran.
+        known : identities that have been counted before.
+        """
         names, first = np.unique(rows.identity, return_index=True)
         new = first[~np.isin(names, [*set().union(*known)])]
+        observed = ~np.isin(rows.frame, [*unobserved])
         return self._replace(
             classes=self.classes + Counter(rows.class_id[new].tolist()),
             rows=self.rows + len(rows),
             predicted=self.predicted + int(rows.predicted.sum()),
+            missed=self.missed + int((rows.predicted & observed).sum()),
         )
 
 
@@ -201,7 +223,8 @@ class Recorder:
         self._blur = blur
         self._rows = deque[tuple[float, ...]](maxlen=most)
         self._endless = most is not None
-        self._whole = Whole(0, 0.0, 0, 0.0, Counter(), 0, 0)
+        self._unobserved = deque[int](maxlen=most)
+        self._whole = Whole(0, 0.0, 0, 0.0, Counter(), 0, 0, 0, 0)
         self._first = math.nan
         # Identities in the last two calls of `count`.
         self._known = set[int](), set[int]()
@@ -233,7 +256,10 @@ class Recorder:
             seconds=step.time - self._first,
             detections=whole.detections + len(step.detections),
             false_alarms=whole.false_alarms + float(np.nan_to_num(false)),
+            observed=whole.observed + step.detections.observed,
         )
+        if not step.detections.observed:
+            self._unobserved.append(step.number)
         if frame is not None and self._whole.frames.bit_count() == 1:
             boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
             self._picture = self._hidden(_small(frame), boxes)
@@ -241,7 +267,7 @@ class Recorder:
 
     def count(self, rows: Tracks) -> None:
         """Count final corrected rows of a source without end."""
-        self._whole = self._whole.with_rows(rows, *self._known)
+        self._whole = self._whole.with_rows(rows, self._unobserved, *self._known)
         # No track is absent for longer.
         self._known = self._known[1], set(rows.identity.tolist())
 
@@ -260,7 +286,7 @@ class Recorder:
         whole = self._whole
         track_count = table[:, 7].astype(np.int64)
         if not self._endless:
-            whole = whole.with_rows(tracks)
+            whole = whole.with_rows(tracks, self._unobserved)
             track_count = _count(tracks.frame, numbers)
         return RunRecord(
             info=self._info,
