@@ -209,7 +209,8 @@ class Model:
     before they are predicted.
 
     ``pace`` is how fast the filter's time runs: at 1 as the clock, at 0.2 a fifth as fast
-    (`Stages.longest_interval`). Births go by the clock.
+    (`Stages.longest_interval`). Births go by the clock. ``before``: the seconds before this frame
+    whose births count at least.
     """
 
     motion: Motion
@@ -220,12 +221,13 @@ class Model:
     first: float = 1.0
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
     pace: float = 1.0
+    before: float = 0.0
 
     def birth_seconds(self, dt: float) -> float:
         """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last
         second.
         """
-        seconds = dt / (self.rate * self.pace)
+        seconds = max(dt / (self.rate * self.pace), self.before)
         if seconds <= 1.0:
             return seconds
         leaving = max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)
@@ -494,6 +496,7 @@ class Stages(Generic[S, A]):
     camera : what finds the camera's motion in the detections.
     longest_interval : seconds between pictures up to which targets move as in videos; 0: however
         long it is.
+    births_before : seconds before the first frame whose births are expected in it.
     """
 
     model: Model
@@ -506,6 +509,7 @@ class Stages(Generic[S, A]):
     online: OnlineBoxes | None = None
     camera: CameraEstimator[Any] | None = None
     longest_interval: float = 0.2
+    births_before: float = 0.0
 
 
 AnyStages = Stages[Any, Any]

@@ -76,6 +76,16 @@ def test_gaps_without_states_are_bridged():
     np.testing.assert_allclose(centres, 10 + 5 * np.arange(9), atol=1.0)
 
 
+@pytest.mark.parametrize(("missed", "bridged"), [(49, True), (50, False)])
+def test_gaps_of_more_than_two_seconds_stay_empty(missed: int, bridged: bool):
+    """25 frames a second; the identity goes on."""
+    there = [0, 1, 2, *range(3 + missed, 6 + missed)]
+    frames = [seen((1, 10.0 + 5 * k)) if k in there else seen() for k in range(6 + missed)]
+    corrected = run(PLAIN, frames).tracks
+    assert set(corrected.identity.tolist()) == {1}
+    assert len(corrected) == 6 + missed * bridged
+
+
 def test_corrected_tracks_and_delayed_rows_show_the_revised_past():
     """The filter changes its mind in the fifth frame: since the third, target 1 was what it had
     called 2.

@@ -103,3 +103,21 @@ def test_clutter_decay_lowers_false_alarms_of_slow_streams():
     np.testing.assert_allclose(masses(4.0, 0.4, 0.5), masses(4.0, 0.2, 0.0), rtol=1e-9)
     assert masses(1.0, 0.4, 0.5) == masses(1.0, 0.4, 0.0)
     assert masses(0.2, 0.4, 0.5) == masses(0.2, 0.4, 0.0)
+
+
+@pytest.mark.parametrize("fps", [1.0, 2.0, 10.0, 25.0, 60.0])
+def test_objects_of_the_first_frame_come_with_the_second(fps: float) -> None:
+    """Objects were there before the first frame: their births are not those of one interval."""
+    rng = np.random.default_rng(4)
+    counts = {}
+    for before in (60.0, 0.0):
+        tracker = Tracker((1920, 1080), fps=fps, time={"births_before": before})
+        counts[before] = []
+        for k in range(4):
+            x = np.array([300 + 10 * k / fps, 1200.0])
+            boxes = np.column_stack([x, [300, 500], x + 60, [460, 660]])
+            rows = tracker.update(boxes + rng.normal(0, 2, boxes.shape))
+            counts[before].append(len(rows))
+    assert counts[60.0][2:] == [2, 2]
+    assert counts[60.0][1] == 2 or fps < 5
+    assert sum(counts[60.0]) > sum(counts[0.0])

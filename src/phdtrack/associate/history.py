@@ -23,6 +23,9 @@ HISTORY = 600.0
 # before.
 CHUNK = 32
 
+# Seconds of the longest gap of a corrected track that has rows: a target in view is seldom missed
+# for longer.
+LONGEST_BRIDGE = 2.0
 # A detector is overdue this many intervals of its last two frames after the last.
 OVERDUE = 1.5
 # Frames in a row without detection that are remembered: tracks are not continued for longer.
@@ -270,9 +273,9 @@ def rows_of(
     # Gaps of the same intervals are bridged together, as thousands of them take their time; under a
     # moving camera by place.
     alike = dict[tuple[float, ...], list[int]]()
-    for before in (
-        np.flatnonzero((np.diff(place) > 1) & (np.diff(name) == 0)).tolist() if bridge_gaps else ()
-    ):
+    gap = (np.diff(place) > 1) & (np.diff(name) == 0)
+    gap &= np.diff(time[place]) <= LONGEST_BRIDGE * model.rate + 1e-9
+    for before in np.flatnonzero(gap).tolist() if bridge_gaps else ():
         k, m = place[before : before + 2].tolist()
         moving = any(len(moment.warp) for moment in moments[k + 1 : m + 1])
         alike.setdefault((k if moving else -1, *np.diff(time[k : m + 1]).tolist()), []).append(

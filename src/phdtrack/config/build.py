@@ -58,7 +58,7 @@ def build(
     if scene is not None:
         model = _with_scene(model, scene)
     smoother = settings.build("smooth", frame_size=size)
-    longest_interval = settings.build("time").longest_interval
+    time = settings.build("time")
     associator = _associator(settings, scene)
     filter_ = settings.build("filter", frame_size=size)
     if settings.kind("filter") == "none":
@@ -70,7 +70,8 @@ def build(
             Raw(),
             associator,
             smoother=smoother,
-            longest_interval=longest_interval,
+            longest_interval=time.longest_interval,
+            births_before=time.births_before,
         )
     # Births or clutter at fixed pixels hold for a camera that stands still.
     fixed = settings.kind("birth") == "places" or (
@@ -89,7 +90,8 @@ def build(
         smoother,
         DetectionShare() if shares else None,
         None if fixed else settings.build("common_motion", frame_size=size),
-        longest_interval,
+        time.longest_interval,
+        time.births_before,
     )
 
 

@@ -31,10 +31,13 @@ class TimeSettings(Checked):
         at 25 Hz.
     longest_interval : seconds between pictures up to which targets move as in videos. With longer
         ones the filter's time runs slower, so that they are as long as this. 0: never.
+    births_before : seconds before the first frame whose births are expected in it, as far as they
+        survive: objects were there before it. 0: those of one interval.
     """
 
     units_per_second: Positive = 25.0
     longest_interval: NonNegative = 0.2
+    births_before: NonNegative = 60.0
 
 
 @dataclass(frozen=True, slots=True)
