@@ -31,6 +31,11 @@ LAYOUTS = (
     "detr",
     "rfdetr",
     "tensorflow",
+    "pose",
+    "masks",
+    "face",
+    "rtdetr-rows",
+    "yolox",
 )
 # Rows that say nothing, after those of blobs.
 PADDING = 18
@@ -100,6 +105,14 @@ def heads(g: Graph, layout: str, x: str) -> dict[str, tuple[str, str, int]]:
     kind = g("Add", g("Mul", score, 0.0), np.array([[[0.0], [1.0], [2.0]]]))
     flat = g("Squeeze", score, [2])
     label = g("Cast", g("Squeeze", kind, [2]), to=TensorProto.INT64)
+    if layout in ("pose", "masks", "face"):
+        return with_more(g, layout, f, table)
+    if layout == "rtdetr-rows":
+        spare = g("Add", g("Mul", score, 0.0), np.array([[[0.6, 0.4, 0.2, 0.3, 0.01, 0.0]]]))
+        rows = g("Concat", f["centred share"], score, kind, axis=2)
+        return {"output0": (g("Concat", rows, spare, axis=1), "float", 3)}
+    if layout == "yolox":
+        return {"output": (relative_to_cells(g, f, table), "float", 3)}
     if layout in ("yolov8", "yolov5"):
         more = [f["there"]] if layout == "yolov5" else []
         first = g("Concat", f["centred"], *more, table, axis=2)
@@ -144,6 +157,66 @@ def heads(g: Graph, layout: str, x: str) -> dict[str, tuple[str, str, int]]:
     }
 
 
+def with_more(
+    g: Graph, layout: str, f: dict[str, str], table: str
+) -> dict[str, tuple[str, str, int]]:
+    """Outputs of a YOLO whose boxes have scores of three classes, and body points, face points or
+    masks.
+    """
+    zero = g("Mul", f["there"], 0.0)
+    numbers = np.linspace(3.3, 90.0, 30).reshape(1, 3, 10)
+    if layout == "face":
+        parts = [f["centred"], f["there"], g("Add", zero, numbers), table]
+        rows = g("Concat", *parts, axis=2)
+        return {"output": (g("Pad", rows, [0, 0, 0, 0, PADDING, 0]), "float", 3)}
+    if layout == "pose":
+        visible = np.where(np.arange(6) % 3 == 2, 0.5, numbers[..., :6])
+        rows = g("Concat", f["centred"], table, g("Add", zero, visible), axis=2)
+    else:
+        signed = np.linspace(-1.5, 1.5, 12).reshape(1, 3, 4)
+        rows = g("Concat", f["centred"], table, g("Add", zero, signed), axis=2)
+    rows = g("Pad", rows, [0, 0, 0, 0, PADDING, 0])
+    outputs = {"output0": (g("Transpose", rows, perm=[0, 2, 1]), "float", 3)}
+    if layout == "masks":
+        masks = g("Add", g("Unsqueeze", zero, [3]), np.zeros((1, 3, 4, 5)))
+        outputs["output1"] = (g("Transpose", masks, perm=[0, 2, 1, 3]), "float", 4)
+    return outputs
+
+
+def relative_to_cells(g: Graph, f: dict[str, str], table: str) -> str:
+    """Rows of a YOLOX for an input of 128x96 pixels, relative to its 252 cells; the first three are
+    those of the blobs.
+    """
+    middle, size = g("Split", f["centred"], axis=2, outputs=2)
+    offset = g("Sub", g("Mul", middle, 1 / 8), np.array([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]]))
+    logarithm = g("Log", g("Mul", g("Max", size, 1e-3), 1 / 8))
+    rows = g("Concat", offset, logarithm, f["there"], table, axis=2)
+    return str(g("Pad", rows, [0, 0, 0, 0, 252 - 3, 0]))
+
+
+def answering(
+    path: Path,
+    outputs: Mapping[str, np.ndarray],
+    metadata: Mapping[str, str] | None = None,
+    side: int = 64,
+) -> Path:
+    """A network that takes (1, 3, side, side) and has these outputs for every picture."""
+    kinds = {"f": TensorProto.FLOAT, "i": TensorProto.INT64}
+    nodes = [helper.make_node("Identity", [f"{name}.value"], [name]) for name in outputs]
+    values = list[onnx.TensorProto]()
+    made = list[onnx.ValueInfoProto]()
+    for name, array in outputs.items():
+        kept = array.astype(np.float32 if array.dtype.kind == "f" else np.int64)
+        values.append(numpy_helper.from_array(kept, f"{name}.value"))
+        made.append(helper.make_tensor_value_info(name, kinds[kept.dtype.kind], array.shape))
+    taken = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, side, side))
+    graph = helper.make_graph(nodes, "answers", [taken], made, values)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, dict(metadata or {}))
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
 def write(
     path: Path,
     layout: str = "yolov8",
@@ -163,6 +236,8 @@ def write(
         deviation = np.array([0.229, 0.224, 0.225])
         mean = np.array([0.485, 0.456, 0.406])
         x = g("Add", g("Mul", x, deviation[None, :, None, None]), mean[None, :, None, None])
+    if layout == "yolox":
+        x = g("Gather", g("Mul", x, 1 / 255), [2, 1, 0], axis=1)
     made = []
     given = [helper.make_tensor_value_info("images", TYPES[kind], shape)]
     for name, (node, what, axes) in heads(g, layout, x).items():

@@ -94,6 +94,16 @@ def test_a_network_has_the_default_settings_and_its_classes(
     )
 
 
+def test_guess_about_the_outputs_is_reported_once(work: Path) -> None:
+    networks.write(work / "bare.onnx", "end2end")
+    for command in ("track", "detect"):
+        said = phdtrack(command, "clip.mp4", "--detector", "onnx:bare.onnx", "--out", command)
+        assert said.status == 0, said.err
+        assert (said.out + said.err).count("This is a guess") == 1
+    document = json.loads(Path("track", "run.json").read_text())
+    assert "read as final boxes" in document["warnings"][0]
+
+
 def test_every_command_takes_a_network(work: Path) -> None:
     network = ("clip.mp4", "--detector", "onnx:net.onnx")
     assert (

@@ -116,7 +116,15 @@ def test_free_input_size_is_padded_to_the_stride(free: OnnxDetector) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "layout"), [("float16", "yolov8"), ("float16", "rfdetr"), ("uint8", "yolov5")]
+    ("kind", "layout"),
+    [
+        ("float16", "yolov8"),
+        ("float16", "rfdetr"),
+        ("float16", "pose"),
+        ("float16", "rtdetr-rows"),
+        ("uint8", "yolov5"),
+        ("uint8", "masks"),
+    ],
 )
 def test_other_number_types_give_the_same_boxes(kind: str, layout: str, tmp_path: Path) -> None:
     outputs = "float16" if kind == "float16" else ""
@@ -348,7 +356,7 @@ def test_invalid_networks_are_rejected(tmp_path: Path, monkeypatch: pytest.Monke
         (
             "onnx:net.onnx",
             {"layout": "yolov9"},
-            r"detector\.layout: expected yolov5, yolov8, end2end, got 'yolov9'",
+            r"detector\.layout: expected yolov5, yolov8, yolox, end2end, rtdetr, got 'yolov9'",
         ),
         ("onnx:net.onnx", {"confidence": 2.0}, "confidence: expected a value at most 1"),
         (

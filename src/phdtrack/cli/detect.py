@@ -10,6 +10,7 @@ from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.config import load
+from phdtrack.detect.base import guesses
 from phdtrack.errors import InputError, shown
 from phdtrack.run import directory as rundir
 from phdtrack.run.inputs import open_inputs, write_detected
@@ -40,6 +41,7 @@ def detect(
     if classes:
         sets.append(f"detector.classes={json.dumps(classes)}")
     inputs = open_inputs(request, load(config, sets).values("detector"))
+    guessed = guesses(inputs.detector)
     files = {rundir.DETECTIONS: rundir.RUN_FILES[rundir.DETECTIONS]}
     directory = rundir.claim(out, overwrite, files, name=inputs.info.name, inputs=(source, mask))
     file = directory.file(rundir.DETECTIONS)
@@ -56,7 +58,8 @@ def detect(
             directory.clear()
         raise
     rate = frames / (time.perf_counter() - began)
-    warnings = list(filter(None, (inputs.source.note, inputs.source.problem)))
+    notes = (*guessed, inputs.source.note, inputs.source.problem)
+    warnings = list(filter(None, notes))
     output.warn(warnings)
     done = f"{counted(boxes, 'box')} in {counted(frames, 'frame')} by {inputs.described}"
     output.say(f"{done}, {rate:.0f} frames per second: {file}")

@@ -87,6 +87,14 @@ class NamesClasses(Protocol):
 
 
 @runtime_checkable
+class ReportsGuesses(Protocol):
+    """Had to guess what its file means."""
+
+    def guesses(self) -> tuple[str, ...]:
+        """Sentences about what was guessed, which the caller shows."""
+
+
+@runtime_checkable
 class DetectsBatches(Protocol):
     """Is faster on several frames at once."""
 
@@ -128,6 +136,14 @@ def class_names(detector: Detector) -> Mapping[int, str] | None:
     if isinstance(inner, NamesClasses):
         return inner.class_names
     return None
+
+
+def guesses(detector: Detector) -> tuple[str, ...]:
+    """Sentences about what a detector had to guess, which the caller shows."""
+    inner = unwrapped(detector)
+    if isinstance(inner, ReportsGuesses):
+        return inner.guesses()
+    return ()
 
 
 def detect_all(

@@ -1,4 +1,5 @@
-"""A network in an ONNX file as a detector (``onnx:FILE``); `onnx_layouts` reads its outputs.
+"""A network in an ONNX file as a detector (``onnx:FILE``); `onnx_recognition` finds out what its
+outputs mean, `onnx_layouts` reads them.
 
 Boxes are in pixels of the input, or in shares of it if no number is above 2. The frame is scaled
 into the input with its aspect kept and grey around it; boxes are in pixels of the frame, cut at its
@@ -8,8 +9,9 @@ border.
 from __future__ import annotations
 
 import ast
+import logging
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +20,14 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from phdtrack.detect.onnx_layouts import LAYOUTS, Array, Layout, recognise, unbatched
+from phdtrack.detect.onnx_layouts import LAYOUTS, Array, Layout, unbatched
+from phdtrack.detect.onnx_recognition import (
+    MAX_SHARE,
+    SCORE_TOLERANCE,
+    Probe,
+    obstacle,
+    recognise,
+)
 from phdtrack.errors import (
     Count,
     InputError,
@@ -31,6 +40,7 @@ from phdtrack.errors import (
 from phdtrack.files import load
 from phdtrack.types import F8, Detections, Frame, Image
 
+_LOG = logging.getLogger(__name__)
 _PROVIDERS = ("CUDAExecutionProvider", "DmlExecutionProvider", "CPUExecutionProvider")
 _TYPES: Mapping[str, Any] = {
     "tensor(float)": np.float32,
@@ -44,8 +54,6 @@ _DEFAULT_STRIDE = 32
 # Mean and standard deviation of the colours of ImageNet.
 _MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 _DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
-# Boxes in shares of the input may reach a little over 1.
-_MAX_SHARE = 2.0
 # Boxes per frame that non-maximum suppression considers.
 _MAX_CANDIDATES = 3000
 # Characters of an error message of onnxruntime that are repeated.
@@ -55,10 +63,18 @@ _SUPPORTED_INPUTS = (
     " float16 or uint8."
 )
 _SUPPORTED_OUTPUTS = (
-    "Supported are (1, 4 + classes, N), (1, N, 5 + classes) in pixels (YOLOX:"
-    " decode_in_inference), (1, N, 6), and boxes (N, 4) with labels and scores, or with scores of"
-    " all classes. Try detector.layout=yolov5, yolov8 or end2end, or --detections FILE."
+    "Supported are (1, 4 + classes, N), (1, N, 5 + classes) in pixels, (1, N, 6), and boxes (N, 4)"
+    " with labels and scores, or with scores of all classes. Scores must be between 0 and 1. Try"
+    f" detector.layout={', '.join(LAYOUTS[:-1])} or {LAYOUTS[-1]}, or --detections FILE."
 )
+_OTHER_LAYOUT = (
+    f"If the boxes are wrong, choose detector.layout ({', '.join(LAYOUTS[:-1])} or {LAYOUTS[-1]}),"
+    " detector.pixels or detector.bgr, or use --detections FILE."
+)
+# Confident boxes of one frame, of which most may not have right left of left.
+_MIN_BOXES_TO_JUDGE = 3
+# Numbers of COCO's categories that the 80 classes leave out, of networks that count to 90.
+_COCO_GAPS = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)
 
 
 class _Input(NamedTuple):
@@ -96,9 +112,9 @@ class OnnxDetector:
     overlap : of two boxes of one class with a larger intersection over union only the one with the
         higher score is kept, unless the network does so itself; 1: both are kept.
     classes : names or numbers of the classes to report, separated by commas; empty: all.
-    layout : of the outputs, yolov5, yolov8 or end2end, if it is not recognised.
+    layout : of the outputs, one of `onnx_layouts.LAYOUTS`, if the recognised one is wrong.
     pixels : unit (0 to 1), bytes (0 to 255) or imagenet (mean 0, deviation 1); empty: unit, for
-        DETR and RF-DETR imagenet.
+        DETR and RF-DETR imagenet, for YOLOX bytes with blue before red.
     bgr : the network takes blue before red.
     stretch : stretch the frame to fill the input, without keeping its aspect.
     size : longer side of the input in pixels, if any is accepted; 0: as the metadata states, or
@@ -150,12 +166,13 @@ class OnnxDetector:
                 cure="Leave it out.",
             )
         self.output_layout = unbatched()
-        self.output_layout = self._recognised(metadata.get("task", ""))
-        coco = Path(__file__).with_name("coco.txt").read_text(encoding="utf-8").splitlines()
-        if not self.class_names and self.output_layout.classes == len(coco):
-            self.class_names = dict(enumerate(coco))
+        self.output_layout = self._recognised(metadata)
+        self._untold = list(self._guesses())
+        if not self.class_names:
+            self.class_names = _coco_names(self.output_layout.classes)
         words = [word.strip() for word in self.classes.split(",")]
         self._wanted = [self._class_id(word) for word in words if word]
+        _LOG.info(self._description())
 
     @property
     def batch_size(self) -> int:
@@ -163,6 +180,13 @@ class OnnxDetector:
         if self.output_layout.batched and self._input.batch >= 0:
             return self._input.batch or self.batch
         return 1
+
+    def guesses(self) -> tuple[str, ...]:
+        """Sentences about what was guessed. The caller shows them; otherwise they are logged with
+        the first frame.
+        """
+        self._untold.clear()
+        return tuple(self._guesses())
 
     def reset(self) -> None:
         """Do nothing: there is nothing to forget."""
@@ -173,6 +197,8 @@ class OnnxDetector:
 
     def detect_batch(self, frames: Sequence[Frame]) -> list[Detections]:
         """The boxes that the network finds in each of the frames."""
+        while self._untold:
+            _LOG.warning(self._untold.pop())
         inputs = [self.letterbox(frame.image) for frame in frames]
         step = 1
         if len({one.tensor.shape for one in inputs}) == 1:
@@ -181,31 +207,56 @@ class OnnxDetector:
         for first in range(0, len(frames), step):
             outputs += self._run(inputs[first : first + step])
         return [
-            self._detections(frame.image, one, arrays)
+            self._detections(frame, one, arrays)
             for frame, one, arrays in zip(frames, inputs, outputs, strict=True)
         ]
 
     def _detections(
-        self, image: Image, letterbox: _Letterbox, outputs: Sequence[Array]
+        self, frame: Frame, letterbox: _Letterbox, outputs: Sequence[Array]
     ) -> Detections:
-        """The detections in a frame, given the network's outputs."""
+        """The detections in a frame, given the network's outputs. Raises `InputError` if these
+        cannot have the meaning that they are read with.
+        """
         xyxy, score, label = self.output_layout.decode(outputs)
         good = (score >= self.confidence) & np.isfinite(xyxy).all(axis=1)
+        self._check(frame, xyxy[good], score)
         if self._wanted:
             good &= np.isin(label, self._wanted)
         rows = np.flatnonzero(good)
         rows = rows[np.argsort(-score[rows], kind="stable")]
         boxes = xyxy[rows].astype(np.float64)
-        if len(xyxy) and float(np.abs(xyxy).max()) <= _MAX_SHARE:
+        if len(xyxy) and float(np.abs(xyxy).max()) <= MAX_SHARE:
             boxes = boxes * np.tile(letterbox.size, 2)
         found = Detections(boxes, score[rows].astype(np.float64), label[rows].astype(np.int64))
         if self.output_layout.overlapping and self.overlap < 1 and len(found) > 1:
             found = _suppressed(found, self.overlap)
-        border = np.array([image.shape[1], image.shape[0]] * 2, np.float64)
+        border = np.array([frame.image.shape[1], frame.image.shape[0]] * 2, np.float64)
         boxes = (found.xyxy - np.tile(letterbox.offset, 2)) / np.tile(letterbox.scale, 2)
         boxes = np.clip(boxes, 0.0, border)
         nonempty = np.flatnonzero((boxes[:, 2:] > boxes[:, :2]).all(axis=1))
         return Detections(boxes, found.confidence, found.class_id).select(nonempty)
+
+    def _check(self, frame: Frame, confident: Array, score: Array) -> None:
+        """Raise `InputError` if scores are no probabilities, or most of the confident boxes are
+        inside out.
+        """
+        problem = ""
+        cure = _OTHER_LAYOUT
+        highest = float(score.max(initial=0.0))
+        inverted = (confident[:, 2:] < confident[:, :2]).any(axis=1)
+        if highest > 1 + SCORE_TOLERANCE:
+            problem = f"expected scores from 0 to 1, got {highest:.4g}"
+        elif len(score) and np.isnan(score).all():
+            problem = "no score is a number"
+            cure = "Numbers may be too large for float16: export the network with float32."
+        elif len(confident) >= _MIN_BOXES_TO_JUDGE and inverted.mean() > 0.5:
+            problem = "most boxes have right left of left, or bottom above top"
+        if problem:
+            raise InputError(
+                f"{problem}, with outputs read as {self.output_layout.name}",
+                where=f"{self.file}, frame {frame.number}",
+                cure=cure,
+            )
 
     def letterbox(self, image: Image) -> _Letterbox:
         """The frame as an input of the network."""
@@ -233,19 +284,26 @@ class OnnxDetector:
             np.array([left, top], np.float64),
         )
 
+    @property
+    def _blue_first(self) -> bool:
+        """True if the network takes blue before red. A scale that the user chose means that the
+        usual order of such networks is not meant either.
+        """
+        return self.bgr or (not self.pixels and self.output_layout.bgr)
+
     def _normalised(self, canvas: Image) -> Array:
         """(3, H, W) the colours of a picture as the network takes them."""
         if self._input.dtype == np.uint8:
             return np.asarray(
-                cv2.dnn.blobFromImage(canvas, swapRB=not self.bgr, ddepth=cv2.CV_8U)[0]
+                cv2.dnn.blobFromImage(canvas, swapRB=not self._blue_first, ddepth=cv2.CV_8U)[0]
             )
         pixels = self.pixels or self.output_layout.pixels
         factor = 1.0 if pixels == "bytes" else 1 / 255
         values: Array = cv2.dnn.blobFromImage(
-            canvas, factor, swapRB=not self.bgr, ddepth=cv2.CV_32F
+            canvas, factor, swapRB=not self._blue_first, ddepth=cv2.CV_32F
         )[0]
         if pixels == "imagenet":
-            order = -1 if self.bgr else 1
+            order = -1 if self._blue_first else 1
             mean = _MEAN[::order, None, None]
             values = (values - mean) / _DEVIATION[::order, None, None]
         return values
@@ -300,7 +358,7 @@ class OnnxDetector:
             cure=_SUPPORTED_INPUTS,
         )
 
-    def _recognised(self, task: str) -> Layout:
+    def _recognised(self, metadata: Mapping[str, str]) -> Layout:
         """The meaning of the outputs, by those for a grey picture. Raises `InputError` if it is not
         recognised.
         """
@@ -308,20 +366,40 @@ class OnnxDetector:
         grey = self.letterbox(np.full((side, side, 3), _GREY, np.uint8))
         names = [one.name for one in self._session.get_outputs()]
         outputs = dict(zip(names, self._run([grey])[0], strict=True))
-        layout = recognise(
-            outputs, self.layout, len(self.class_names), task, self._input.channels_last
+        task = metadata.get("task", "")
+        probe = Probe(
+            outputs,
+            int(grey.size[0]),
+            int(grey.size[1]),
+            bool(self._input.width and self._input.height),
+            self.layout,
+            len(self.class_names),
+            task,
+            metadata.get("head", "") or metadata.get("description", ""),
+            self._input.channels_last,
         )
+        layout = recognise(probe)
         if layout is not None:
             return layout
-        got = ", ".join(f"{name} {one.dtype} {one.shape}" for name, one in outputs.items())
+        got = ", ".join(_described(name, one) for name, one in outputs.items())
         got += f"; inputs: {_listed(self._session.get_inputs())}"
         if task:
             got += f"; task: {task}"
         raise InputError(
             f"the network's outputs are not recognised: {got}",
             where=self.file,
-            cure=_SUPPORTED_OUTPUTS,
+            cure=f"{obstacle(probe)} {_SUPPORTED_OUTPUTS}".strip(),
         )
+
+    def _description(self) -> str:
+        """A sentence about the layout that was recognised, and why."""
+        layout = self.output_layout
+        return f"{self.file}: the outputs are read as {layout.name}, by {layout.evidence}."
+
+    def _guesses(self) -> Iterator[str]:
+        """Sentences about what was guessed."""
+        if self.output_layout.guessed:
+            yield f"{self._description()} This is a guess. {_OTHER_LAYOUT}"
 
     def _class_id(self, word: str) -> int:
         """The number of a class. Raises `InputError` if there is none of this name."""
@@ -352,6 +430,19 @@ def _class_names(names: Any) -> Mapping[int, str]:
     if isinstance(names, dict) and all(type(key) is int for key in names):
         return {key: str(value) for key, value in names.items()}
     return {}
+
+
+def _coco_names(classes: int) -> Mapping[int, str]:
+    """The names of COCO for a network with 80 classes, or with 91, which has numbers that are not
+    used; empty for others.
+    """
+    names = Path(__file__).with_name("coco.txt").read_text(encoding="utf-8").splitlines()
+    numbers = [*range(classes)]
+    if classes == len(names) + len(_COCO_GAPS):
+        numbers = [number for number in numbers if number not in _COCO_GAPS]
+    if len(numbers) != len(names):
+        return {}
+    return dict(zip(numbers, names, strict=True))
 
 
 def _opened(path: Path, threads: int) -> Any:
@@ -390,6 +481,14 @@ def _literal(text: str) -> Any:
         if text:
             return ast.literal_eval(text)
     return None
+
+
+def _described(name: str, output: Array) -> str:
+    """Name, type, shape and range of an output."""
+    text = f"{name} {output.dtype} {output.shape}"
+    if output.size and output.dtype.kind in "fiu":
+        text += f" from {float(output.min()):.3g} to {float(output.max()):.3g}"
+    return text
 
 
 def _listed(inputs: Sequence[Any]) -> str:

@@ -1,20 +1,11 @@
-"""The meaning of a network's outputs, recognised by shape and metadata.
+"""The meaning of a network's outputs, and how boxes, scores and classes are read from them.
 
-* (1, 4 + C, N) or (1, N, 5 + C), YOLO: centre, size, possibly objectness, scores of C classes.
-  Overlapping boxes are removed.
-* (1, N, 6), end to end: left, top, right, bottom, score, class.
-* Boxes (N, 4) or (1, N, 4) with separate scores and labels: corners as in torchvision and RT-DETR,
-  top before left as in TensorFlow's ``detection_boxes``.
-* Centred boxes with scores (1, N, C) of all classes, as in DETR, RT-DETR and RF-DETR: the largest
-  after the sigmoid, or after the softmax if the last class is "no object".
-
-The values for a uniformly grey picture tell apart layouts that share a shape.
+`onnx_recognition` finds the layout of a network.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -24,11 +15,9 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 # Maps the outputs for one picture to boxes (N, 4), scores (N,) and classes (N,).
 Decode = Callable[[Sequence[Array]], tuple[Array, Array, Array]]
-LAYOUTS = ("yolov5", "yolov8", "end2end")
-# Networks with more rows than this leave overlapping boxes in.
-_MAX_FINAL_ROWS = 1000
-# Share of grey rows in which the last class must win to be read as "no object".
-_NO_OBJECT_SHARE = 0.9
+LAYOUTS = ("yolov5", "yolov8", "yolox", "end2end", "rtdetr")
+# Columns of left, top, right, bottom, score, class in the rows of most end-to-end networks.
+USUAL_COLUMNS = (0, 1, 2, 3, 4, 5)
 
 
 class Layout(NamedTuple):
@@ -41,6 +30,10 @@ class Layout(NamedTuple):
     overlapping : True if an object has several boxes.
     batched : True if the outputs have an axis for pictures.
     pixels : the usual scale of the input of such networks.
+    bgr : True if such networks usually take blue before red.
+    name : of the layout, for the user.
+    evidence : why it was recognised, for the user.
+    guessed : True if the evidence also fits another layout.
     """
 
     decode: Decode
@@ -48,141 +41,43 @@ class Layout(NamedTuple):
     overlapping: bool
     batched: bool = True
     pixels: str = "unit"
+    bgr: bool = False
+    name: str = ""
+    evidence: str = ""
+    guessed: bool = False
 
 
 def unbatched() -> Layout:
     """The layout that passes all outputs on unchanged."""
-    return Layout(partial(end_to_end, 0), 0, False, False)
+    return Layout(partial(end_to_end, 0, USUAL_COLUMNS, False), 0, False, False)
 
 
-def recognise(
-    outputs: Mapping[str, Array], layout: str, names: int, task: str, channels_last: bool
-) -> Layout | None:
-    """The layout of a network; None if it is not recognised.
+def end_to_end(
+    place: int, columns: tuple[int, ...], centred: bool, outputs: Sequence[Array]
+) -> tuple[Array, Array, Array]:
+    """Decode rows of final boxes.
 
     Parameters
     ----------
-    outputs : its outputs for a uniformly grey picture, by name.
-    layout : one of `LAYOUTS` if the user chose it, else empty.
-    names : number of class names in the metadata.
-    task : of the metadata; empty without one.
-    channels_last : True if colours are the last axis of the input.
+    place : index of the output.
+    columns : of the four numbers of the box, the score and the class.
+    centred : True: the box is centre and size; False: left, top, right, bottom.
+    outputs : of the network for one picture.
     """
-    if task in ("obb", "classify"):
-        return None
-    found = _of_one([*outputs.values()], layout, names, task)
-    if found is None and not layout:
-        return _of_several(outputs, channels_last)
-    return found
-
-
-def _of_one(outputs: Sequence[Array], layout: str, names: int, task: str) -> Layout | None:
-    """The layout of a network with everything in one output of three axes; None for others."""
-    main = [k for k, output in enumerate(outputs) if output.ndim == 3]
-    if len(main) != 1 or any(output.ndim < 3 for output in outputs):
-        return None
-    place = main[0]
-    high, wide = outputs[place].shape[1:]
-    # Masks and body points follow the scores. The sixth number of a row is a class, or the score of
-    # one.
-    more = task in ("segment", "pose")
-    ended = (
-        (wide == 6 or (more and 6 < wide < high))
-        and high <= _MAX_FINAL_ROWS
-        and not (outputs[place][..., 5] % 1).any()
-    )
-    if layout == "end2end" or (ended and not layout):
-        if wide < 6:
-            return None
-        return Layout(partial(end_to_end, place), names, False)
-    if names and not layout and wide == 4 + names and high != 4 + names:
-        # Queries of an RT-DETR, or the cells of a YOLO.
-        return Layout(partial(grid, place, True, 0, names), names, high > _MAX_FINAL_ROWS)
-    flat = high < wide
-    if names and not more:
-        flat = high == 4 + names or (flat and wide != 5 + names)
-    if layout == "yolov8" or (flat and not layout):
-        if high <= 4:
-            return None
-        classes = names if more and names else high - 4
-        return Layout(partial(grid, place, False, 0, classes), classes, True)
-    # Negative sizes are logarithms: the boxes are not decoded.
-    if wide <= 5 or (outputs[place][..., 2:4] < 0).any():
-        return None
-    return Layout(partial(grid, place, True, 1, wide - 5), wide - 5, True)
-
-
-def _of_several(outputs: Mapping[str, Array], channels_last: bool) -> Layout | None:
-    """The layout of a network with boxes, scores and classes in separate outputs; None for
-    others.
-    """
-    fours = [name for name, one in outputs.items() if one.ndim in (2, 3) and one.shape[-1] == 4]
-    boxes = next((name for name in fours if len(fours) == 1 or _has(name, "box")), "")
-    if not boxes:
-        return None
-    place = {name: k for k, name in enumerate(outputs)}
-    shape = outputs[boxes].shape
-    batched = outputs[boxes].ndim == 3
-    lists = [
-        name for name, one in outputs.items() if one.shape == shape[:-1] and not _has(name, "num")
-    ]
-    labels = [
-        name for name in lists if outputs[name].dtype.kind in "iu" or _has(name, "label|class")
-    ]
-    if len(lists) - len(labels) == 1 and len(labels) <= 1:
-        order = [0, 1, 2, 3]
-        if channels_last or _has(boxes, "detection_boxes"):
-            order = [1, 0, 3, 2]
-        scores = next(name for name in lists if name not in labels)
-        label_place = place[labels[0]] if labels else -1
-        places = (place[boxes], place[scores], label_place)
-        return Layout(partial(separate, places, order), 0, False, batched)
-    tables = [
-        name
-        for name, one in outputs.items()
-        if one.ndim == len(shape) and one.shape[:-1] == shape[:-1] and name != boxes
-    ]
-    if len(tables) != 1:
-        tables = [name for name in tables if _has(name, "logit|label|class|score|conf|prob")]
-    if len(tables) != 1 or not outputs[boxes].size:
-        return None
-    corners = outputs[boxes].reshape(-1, 4)
-    if not _has(boxes, "pred_boxes|dets") and (corners[:, 2:] >= corners[:, :2]).all():
-        return None
-    return _of_queries(outputs[tables[0]], boxes, (place[boxes], place[tables[0]]), batched)
-
-
-def _of_queries(scores: Array, boxes: str, places: tuple[int, int], batched: bool) -> Layout:
-    """The layout of a network with centred ``boxes``, given its ``scores`` of all classes for a
-    grey picture.
-    """
-    table = scores.astype(np.float64)
-    logits = bool(table.min() < 0 or table.max() > 1)
-    last = table.shape[-1] - 1
-    # A grey picture shows no object: a last class that wins nearly everywhere means "no object".
-    no_object = bool(
-        logits
-        and (table.argmax(axis=-1) == last).mean() > _NO_OBJECT_SHARE
-        and np.median(table[..., last]) > 0
-    )
-    pixels = "imagenet" if no_object or _has(boxes, "dets") else "unit"
-    decode = partial(queries, places, logits, no_object)
-    return Layout(decode, last + (not no_object), False, batched, pixels)
-
-
-def _has(name: str, words: str) -> bool:
-    """Return True if one of the ``words``, separated by ``|``, is part of a name."""
-    return re.search(words, name.lower()) is not None
-
-
-def end_to_end(place: int, outputs: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Decode rows of left, top, right, bottom, score, class."""
     rows = outputs[place].astype(np.float32)
-    return rows[:, :4], rows[:, 4], rows[:, 5]
+    rows = rows.reshape(-1, rows.shape[-1])
+    boxes = rows[:, list(columns[:4])]
+    if centred:
+        boxes = _corners(boxes)
+    return boxes, rows[:, columns[4]], rows[:, columns[5]]
 
 
 def grid(
-    place: int, upright: bool, objectness: int, classes: int, outputs: Sequence[Array]
+    place: int,
+    upright: bool,
+    objectness: bool,
+    columns: tuple[int, int],
+    outputs: Sequence[Array],
 ) -> tuple[Array, Array, Array]:
     """Decode rows of centre, size, objectness and scores.
 
@@ -190,16 +85,45 @@ def grid(
     ----------
     place : index of the output.
     upright : False: rows and columns are exchanged.
-    objectness : 1 if there is such a column, else 0.
-    classes : number of columns with scores.
+    objectness : True if the fifth column is the probability of an object.
+    columns : the first column with scores, and the one after the last. None: there is one class.
     outputs : of the network for one picture.
     """
     rows = outputs[place] if upright else outputs[place].T
     rows = rows.astype(np.float32, copy=False)
-    table = rows[:, 4 + objectness : 4 + objectness + classes]
-    label = table.argmax(axis=1)
-    score = table[np.arange(len(rows)), label] * (rows[:, 4] if objectness else 1)
+    score, label = _largest(rows, objectness, columns)
     return _corners(rows[:, :4]), score, label
+
+
+def cells(
+    place: int, anchors: Array, columns: tuple[int, int], outputs: Sequence[Array]
+) -> tuple[Array, Array, Array]:
+    """Decode rows of a YOLOX relative to cells: offset of the centre in cells, logarithm of the
+    size in cells, objectness and scores.
+
+    Parameters
+    ----------
+    place : index of the output.
+    anchors : (N, 3) left and top of each cell in cells, and its side in pixels, as `cell_anchors`
+        returns them.
+    columns : the first column with scores, and the one after the last.
+    outputs : of the network for one picture.
+    """
+    rows = outputs[place].astype(np.float32)
+    side = anchors[:, 2:]
+    centre = (rows[:, :2] + anchors[:, :2]) * side
+    size = np.exp(rows[:, 2:4]) * side
+    score, label = _largest(rows, True, columns)
+    return _corners(np.hstack([centre, size])), score, label
+
+
+def cell_anchors(width: int, height: int, sides: Sequence[int]) -> Array:
+    """(N, 3) left, top and side of all cells of an input, row by row, for each side in pixels."""
+    levels = []
+    for side in sides:
+        top, left = np.mgrid[0 : -(-height // side), 0 : -(-width // side)]
+        levels.append(np.stack([left, top, np.full_like(left, side)], axis=-1).reshape(-1, 3))
+    return np.concatenate(levels).astype(np.float32)
 
 
 def separate(
@@ -217,31 +141,66 @@ def separate(
     label: Array = np.zeros(len(score), np.int64)
     if places[2] >= 0:
         label = outputs[places[2]]
+    if places[1] == places[0]:
+        # The fifth number of a box is its score.
+        score = boxes[:, 4]
     return boxes[:, order], score, label
 
 
+class ClassScores(NamedTuple):
+    """How the scores of all classes of a box are read.
+
+    Attributes
+    ----------
+    function : sigmoid or softmax, to be applied; empty: these are probabilities.
+    background : the column that means "no object"; None without such a column.
+    """
+
+    function: str = ""
+    background: int | None = None
+
+    def probabilities(self, table: Array) -> Array:
+        """(N, C) the probability of each class; 0 in the column of the background."""
+        table = table.astype(np.float64)
+        if self.function:
+            # Imported here because it takes long.
+            from scipy.special import expit, softmax
+
+            table = softmax(table, axis=1) if self.function == "softmax" else expit(table)
+        if self.background is not None:
+            table[:, self.background] = 0.0
+        return table
+
+
 def queries(
-    places: tuple[int, int], logits: bool, no_object: bool, outputs: Sequence[Array]
+    places: tuple[int, int], scores: ClassScores, centred: bool, outputs: Sequence[Array]
 ) -> tuple[Array, Array, Array]:
-    """Decode centred boxes and scores of all classes.
+    """Decode boxes and scores of all classes.
 
     Parameters
     ----------
     places : indices of the outputs with boxes and scores.
-    logits : True if the scores are not yet probabilities.
-    no_object : True if the last class means "no object".
+    scores : how these are read.
+    centred : True: a box is centre and size; False: left, top, right, bottom.
     outputs : of the network for one picture.
     """
-    boxes, table = (outputs[place].astype(np.float64) for place in places)
-    if logits:
-        # Imported here because it takes long.
-        from scipy.special import expit, softmax
+    boxes = outputs[places[0]].astype(np.float64)
+    table = scores.probabilities(outputs[places[1]])
+    if centred:
+        boxes = _corners(boxes)
+    return boxes, table.max(axis=1), table.argmax(axis=1)
 
-        if no_object:
-            table = softmax(table, axis=1)[:, :-1]
-        else:
-            table = expit(table)
-    return _corners(boxes), table.max(axis=1), table.argmax(axis=1)
+
+def _largest(rows: Array, objectness: bool, columns: tuple[int, int]) -> tuple[Array, Array]:
+    """(N,) the largest score of each row, times its objectness if there is one, and its class."""
+    table = rows[:, columns[0] : columns[1]]
+    if table.shape[1] == 0:
+        return rows[:, 4], np.zeros(len(rows), np.int64)
+    label = table.argmax(axis=1)
+    score = table[np.arange(len(rows)), label]
+    if objectness:
+        score = score * rows[:, 4]
+    return score, label
 
 
 def _corners(centred: Array) -> Array:

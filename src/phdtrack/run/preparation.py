@@ -11,6 +11,7 @@ from typing import Any
 
 from phdtrack import config
 from phdtrack.config import Settings
+from phdtrack.detect.base import guesses
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
 from phdtrack.formats import read_truth
@@ -107,7 +108,11 @@ def prepare(
         last = int(truth.frame.max(initial=0))
     parameters = settings.values("detector")
     inputs = open_inputs(request.source, parameters, last, frame_range(request.frames))
-    inputs = replace(inputs, files=_read_files(request, settings))
+    inputs = replace(
+        inputs,
+        files=_read_files(request, settings),
+        warnings=(*guesses(inputs.detector), *inputs.warnings),
+    )
     settings = config.for_run(settings, endless=not inputs.again)
     classes = config.build_classes(settings, inputs.info, inputs.names, inputs.classes, moving=True)
     model = classes.usual.model

@@ -1,0 +1,567 @@
+"""Recognises the layout of a network's outputs, by their shapes and values and by metadata.
+
+The values are those for a uniformly grey picture. They tell apart layouts that share a shape:
+
+* Columns of class scores lie between 0 and 1. Body points are in pixels, and numbers of masks are
+  of both signs, so that they are no scores.
+* Right is never left of left: final boxes that break this are centres and sizes.
+* Three boxes for each cell of the input mean a YOLO with anchors, one means a later one.
+* Logarithms of sizes are negative where boxes are still relative to cells, as in a YOLOX.
+* A class that wins nearly everywhere in a grey picture means "no object".
+
+A layout that is named overrides the values, and values override metadata that do not fit them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from phdtrack.detect.onnx_layouts import (
+    USUAL_COLUMNS,
+    Array,
+    ClassScores,
+    Layout,
+    cell_anchors,
+    cells,
+    end_to_end,
+    grid,
+    queries,
+    separate,
+)
+
+# Networks with more rows than this leave overlapping boxes in.
+_MAX_FINAL_ROWS = 1000
+# Share of grey rows in which a class must win to be read as "no object".
+_NO_OBJECT_SHARE = 0.9
+# Coordinates in shares of the input may reach a little over 1.
+MAX_SHARE = 2.0
+# Scores of quantised networks may leave 0 to 1 by this much.
+SCORE_TOLERANCE = 0.01
+# Of boxes read as corners, so many have right and bottom behind left and top if they are corners;
+# of boxes in shares nearly all.
+_ORDERED_SHARE = 0.5
+_ORDERED_SHARE_OF_SHARES = 0.95
+# Sides of the cells of usual networks in pixels.
+_USUAL_SIDES = (8, 16, 32)
+_SIDES = (_USUAL_SIDES, (8, 16, 32, 64), (16, 32))
+# Sums of probabilities of all classes differ from 1 by no more than this.
+_SUM_TOLERANCE = 0.02
+_COCO_CLASSES = 80
+# Medians over all boxes of a grey picture, of what can be no score and of scores.
+_LARGE_SCORE = 0.25
+_SMALL_SCORE = 0.1
+# Columns (image, left, top, right, bottom, class, score), and (image, class, score, left, top,
+# right, bottom).
+_YOLOV7_COLUMNS = (1, 2, 3, 4, 6, 5)
+_SSD_COLUMNS = (3, 4, 5, 6, 2, 1)
+
+
+class Probe(NamedTuple):
+    """A network's outputs for a uniformly grey picture, and what is known of the network.
+
+    Attributes
+    ----------
+    outputs : by name, with the axis for pictures.
+    width, height : of the picture in pixels.
+    fixed : True if the network takes no other size.
+    layout : one of `onnx_layouts.LAYOUTS` if the user chose it, else empty.
+    names : number of class names in the metadata.
+    task, head : of the metadata; empty without them.
+    channels_last : True if colours are the last axis of the input.
+    """
+
+    outputs: Mapping[str, Array]
+    width: int
+    height: int
+    fixed: bool
+    layout: str
+    names: int
+    task: str
+    head: str
+    channels_last: bool
+
+    @property
+    def is_rtdetr(self) -> bool:
+        """True if user or metadata name an RT-DETR."""
+        return self.layout == "rtdetr" or _has(self.head, "rt-?detr")
+
+    def shape(self, place: int) -> str:
+        """Name and shape of an output, for the user."""
+        name, array = [*self.outputs.items()][place]
+        return f"{name} {array.shape}"
+
+
+def recognise(probe: Probe) -> Layout | None:
+    """The layout of a network; None if it is not recognised."""
+    if probe.task in ("obb", "classify"):
+        return None
+    dimensions = [array.ndim for array in probe.outputs.values()]
+    found = None
+    if dimensions.count(3) == 1 and min(dimensions) >= 3:
+        found = _of_final_rows(probe, dimensions.index(3))
+        if found is None and not _is_rotated(probe, dimensions.index(3)):
+            found = _of_grid(probe, dimensions.index(3))
+    if found is None and not probe.layout:
+        found = _of_all_pictures(probe) or _of_several(probe)
+    return found
+
+
+def obstacle(probe: Probe) -> str:
+    """What stands against the outputs that are not recognised, with the cure; empty if there is
+    nothing to say.
+    """
+    arrays = [*probe.outputs.values()]
+    if any(array.dtype.kind == "f" and np.isnan(array).any() for array in arrays):
+        return "Some outputs are no numbers: float16 may be too small. Export it with float32."
+    if any(array.ndim == 5 for array in arrays) or sum(array.ndim == 4 for array in arrays) > 1:
+        return "These are heads before their boxes are decoded: export the network with decoding."
+    tables = [k for k, array in enumerate(arrays) if array.ndim == 3 and min(array.shape[1:]) > 4]
+    if len(tables) != 1:
+        return ""
+    rotated = probe.task == "obb" or _is_rotated(probe, tables[0])
+    form = _form(probe, arrays[tables[0]])
+    rows = arrays[tables[0]]
+    if not form.upright:
+        rows = rows.swapaxes(1, 2)
+    rows = rows.reshape(-1, rows.shape[2])
+    good = _are_scores(rows[:, 4:])
+    if rotated or _ends_with_angle(probe, rows, 5 if form.objectness else 4):
+        return "Rotated boxes are not supported."
+    if not good.any():
+        return "No numbers after the box are between 0 and 1: export the scores with their sigmoid."
+    if form.objectness and (rows[:, 2:4] < 0).any():
+        return "Sizes are negative: export the boxes decoded (YOLOX: --decode_in_inference)."
+    return ""
+
+
+def _of_all_pictures(probe: Probe) -> Layout | None:
+    """The layout of a network with the boxes of all pictures in one output of 7 columns; None for
+    others.
+    """
+    if len(probe.outputs) != 1:
+        return None
+    shape = next(iter(probe.outputs.values())).shape
+    if shape[-1:] != (7,):
+        return None
+    evidence = f"the shape {probe.shape(0)}"
+    if len(shape) == 2:
+        decode = partial(end_to_end, 0, _YOLOV7_COLUMNS, False)
+        name = "YOLO v7 with suppression inside (image, corners, class, score)"
+        return Layout(decode, probe.names, False, False, name=name, evidence=evidence)
+    if len(shape) == 4 and shape[:2] == (1, 1):
+        decode = partial(end_to_end, 0, _SSD_COLUMNS, False)
+        name = "SSD (image, class, score, corners)"
+        return Layout(decode, 0, False, False, name=name, evidence=evidence)
+    return None
+
+
+def _of_final_rows(probe: Probe, place: int) -> Layout | None:
+    """The layout of a network with rows of box, score, class, and perhaps masks or body points;
+    None for others.
+    """
+    array = [*probe.outputs.values()][place]
+    wide = array.shape[2]
+    if wide < 6 or probe.layout.startswith("yolo"):
+        return None
+    rows = array.reshape(-1, wide)
+    if probe.layout != "end2end" and not _are_final(probe, rows, array.shape[1]):
+        return None
+    centred = probe.is_rtdetr
+    guessed = False
+    evidence = f"the shape {probe.shape(place)} and whole numbers as classes"
+    boxes = rows[rows[:, :4].any(axis=1), :4]
+    if probe.layout:
+        evidence = f"detector.layout={probe.layout}"
+    elif centred:
+        evidence = f"{probe.shape(place)} and {probe.head!r} in the metadata"
+    elif len(boxes):
+        ordered = float((boxes[:, 2:] >= boxes[:, :2]).all(axis=1).mean())
+        shares = float(np.abs(boxes).max()) <= MAX_SHARE
+        centred = ordered < (_ORDERED_SHARE_OF_SHARES if shares else _ORDERED_SHARE)
+        guessed = shares and ordered >= _ORDERED_SHARE
+        evidence += f"; as corners {ordered:.0%} of its boxes have left before right"
+    else:
+        guessed = not probe.names and not probe.task
+    name = "final boxes (left, top, right, bottom, score, class)"
+    if centred:
+        name = "RT-DETR (centre, size, score, class)"
+    decode = partial(end_to_end, place, USUAL_COLUMNS, centred)
+    return Layout(decode, probe.names, False, name=name, evidence=evidence, guessed=guessed)
+
+
+def _are_final(probe: Probe, rows: Array, high: int) -> bool:
+    """Return True if each row has a box, a score, a class, and perhaps masks or body points."""
+    wide = rows.shape[1]
+    if high > _MAX_FINAL_ROWS or (rows[:, 5] % 1).any():
+        return False
+    # Scores of 0 and 1 are whole numbers, too.
+    usual = _cell_count(probe, _USUAL_SIDES)
+    if high in (usual, 3 * usual):
+        return False
+    if wide == 6:
+        return True
+    if wide >= high:
+        return False
+    if probe.task in ("segment", "pose"):
+        return True
+    if wide == 7 or (probe.names and wide - probe.names in (4, 5)):
+        return False
+    # Without any number there is nothing to see.
+    return bool(rows.any() and _are_scores(rows[:, 4:5]).all())
+
+
+def _is_rotated(probe: Probe, place: int) -> bool:
+    """Return True if one number more follows the class in final rows, an angle."""
+    array = [*probe.outputs.values()][place]
+    high, wide = array.shape[1:]
+    if wide != 7 or high > _MAX_FINAL_ROWS or probe.layout or _boxes_per_cell(probe, high):
+        return False
+    rows = array.reshape(-1, 7)
+    return bool(rows[:, :4].any() and not (rows[:, 5] % 1).any())
+
+
+class _Form(NamedTuple):
+    """How a table of boxes and scores lies in an output.
+
+    Attributes
+    ----------
+    upright : True if a row is a box; False: a column.
+    objectness : True if the fifth number of a box is the probability of an object.
+    name, evidence, guessed : as `Layout` has them.
+    """
+
+    upright: bool
+    objectness: bool
+    name: str
+    evidence: str
+    guessed: bool = False
+
+
+_V5 = "YOLO v5 and v7 (centre, size, objectness, scores)"
+_V6 = "YOLO v6 (centre, size, objectness 1, scores)"
+_V8 = "YOLO v8 and later (centre, size, scores)"
+_YOLOX = "YOLOX (centre, size, objectness, scores)"
+_RTDETR = "RT-DETR (centre, size, scores)"
+
+
+def _of_grid(probe: Probe, place: int) -> Layout | None:
+    """The layout of a network with a table of boxes and scores of all classes; None for others."""
+    array = [*probe.outputs.values()][place]
+    form = _form(probe, array)
+    rows = array if form.upright else array.swapaxes(1, 2)
+    high, wide = rows.shape[1:]
+    first = 5 if form.objectness else 4
+    if wide <= first:
+        return None
+    rows = rows.reshape(-1, wide)
+    columns = _score_columns(probe, rows, first)
+    if columns is None:
+        if not probe.layout:
+            return None
+        columns = (first, first + (probe.names or wide - first))
+    classes = max(columns[1] - columns[0], 1)
+    name = form.name
+    if columns != (first, wide):
+        name += f", {wide - first - columns[1] + columns[0]} further numbers of each box left out"
+    layout = Layout(
+        partial(grid, place, form.upright, form.objectness, columns),
+        classes,
+        form.name != _RTDETR,
+        name=name,
+        evidence=form.evidence,
+        guessed=form.guessed,
+    )
+    if form.name == _YOLOX:
+        layout = layout._replace(pixels="bytes", bgr=True)
+    if not form.objectness or not (rows[:, 2:4] < 0).any():
+        return layout
+    # Negative sizes are logarithms: the boxes are relative to cells of the input.
+    if form.name != _YOLOX or _boxes_per_cell(probe, high) != 1 or not probe.fixed:
+        return None
+    sides = next(one for one in _SIDES if _cell_count(probe, one) == high)
+    anchors = cell_anchors(probe.width, probe.height, sides)
+    return layout._replace(
+        decode=partial(cells, place, anchors, columns),
+        evidence=f"{form.evidence} and logarithms of sizes",
+        guessed=False,
+    )
+
+
+def _form(probe: Probe, array: Array) -> _Form:
+    """How a table of boxes and scores lies in a (B, H, W) output."""
+    high, wide = array.shape[1:]
+    names = probe.names
+    if probe.layout:
+        return _chosen_form(probe, high, wide)
+    shape = f"the shape {array.shape}"
+    if names and wide == 4 + names and high != 4 + names:
+        name = _V8 if high > _MAX_FINAL_ROWS else _RTDETR
+        return _Form(True, False, name, f"{shape} and {names} names of classes")
+    flat = high < wide
+    if names and probe.task not in ("segment", "pose"):
+        flat = high == 4 + names or (flat and wide != 5 + names)
+    if flat:
+        return _Form(False, False, _V8, shape)
+    per_cell = _boxes_per_cell(probe, high)
+    if per_cell == 3:
+        return _Form(True, True, _V5, f"{shape}, three boxes for each cell")
+    if names and wide == 5 + names and per_cell != 1:
+        return _Form(True, True, _V5, f"{shape} and {names} names of classes")
+    if probe.is_rtdetr:
+        return _Form(True, False, _RTDETR, f"{shape} and {probe.head!r} in the metadata")
+    if per_cell == 1:
+        return _form_of_one_per_cell(array, names, shape)
+    boxes = array[..., :4]
+    shares = boxes.any() and float(boxes.min()) >= 0 and float(boxes.max()) <= 1
+    if not names and high <= _MAX_FINAL_ROWS and shares:
+        return _Form(True, False, _RTDETR, f"{shape} and boxes in shares of the input", True)
+    return _Form(True, True, _V5, shape, True)
+
+
+def _chosen_form(probe: Probe, high: int, wide: int) -> _Form:
+    """How a table of boxes and scores lies in an output, in the layout that the user chose."""
+    evidence = f"detector.layout={probe.layout}"
+    if probe.layout == "rtdetr":
+        return _Form(True, False, _RTDETR, evidence)
+    if probe.layout == "yolox":
+        return _Form(True, True, _YOLOX, evidence)
+    if probe.layout == "yolov5":
+        return _Form(True, True, _V5, evidence)
+    upright = high > _MAX_FINAL_ROWS > wide
+    if not upright and probe.names:
+        upright = wide == 4 + probe.names and high != 4 + probe.names
+    return _Form(upright, False, _V8, evidence)
+
+
+def _form_of_one_per_cell(array: Array, names: int, shape: str) -> _Form:
+    """How a table with one row for each cell lies in an output."""
+    shape += ", one box for each cell"
+    if (np.abs(array[..., 4] - 1) <= SCORE_TOLERANCE).all():
+        return _Form(True, True, _V6, f"{shape}, objectness always 1")
+    if not names and array.shape[2] == 4 + _COCO_CLASSES:
+        return _Form(True, False, _V8, f"{shape}, {_COCO_CLASSES} scores", True)
+    return _Form(True, True, _YOLOX, shape, True)
+
+
+def _score_columns(probe: Probe, rows: Array, first: int) -> tuple[int, int] | None:
+    """The first column of class scores and the one after the last; None if there are none.
+
+    Parameters
+    ----------
+    probe : of the network.
+    rows : (N, K) boxes, scores and what else there is.
+    first : column that may have a score.
+    """
+    wide = rows.shape[1]
+    good = _are_scores(rows)
+    if not good[4:first].all():
+        return None
+    more = wide - first - probe.names
+    if probe.names and more >= 0 and good[first : first + probe.names].all():
+        masks_or_points = probe.task in ("segment", "pose") or more == _masks(probe)
+        if masks_or_points or not good[first:].all():
+            return first, first + probe.names
+    masks = _masks(probe)
+    if masks and good[first : wide - masks].any() and good[first : wide - masks].all():
+        return first, wide - masks
+    if _ends_with_angle(probe, rows, first):
+        return None
+    leading = int(np.argmin([*good[first:], False]))
+    rest = wide - first - leading
+    # A body point has two or three numbers.
+    if leading and (rest % 2 == 0 or rest % 3 == 0):
+        return first, first + leading
+    if leading or first == 4:
+        return None
+    return _columns_behind_points(good)
+
+
+def _ends_with_angle(probe: Probe, rows: Array, first: int) -> bool:
+    """Return True if the last column is an angle: it is outside 0 to 1, or has large numbers in a
+    grey picture, where scores are small.
+    """
+    if rows.shape[1] < first + 2 or probe.names == rows.shape[1] - first or first == 5:
+        return False
+    good = _are_scores(rows[:, first:])
+    usual = np.median(rows[:, first:], axis=0)
+    return bool(
+        good[:-1].all()
+        and (not good[-1] or (usual[-1] > _LARGE_SCORE and usual[:-1].max() < _SMALL_SCORE))
+    )
+
+
+def _columns_behind_points(good: Array) -> tuple[int, int] | None:
+    """The columns of class scores behind those of face or body points, which begin at the sixth;
+    None if there are none.
+
+    Parameters
+    ----------
+    good : (K,) True for columns with numbers between 0 and 1.
+    """
+    wide = len(good)
+    last = int(np.flatnonzero(~good)[-1])
+    if last >= 7 and good[7 : last + 1 : 3].all():
+        # Every third number says how visible a point is.
+        last += 1
+    points = last + 1 - 5
+    if last < wide and points > 1 and (points % 2 == 0 or points % 3 == 0):
+        return last + 1, wide
+    return None
+
+
+def _masks(probe: Probe) -> int:
+    """The number of masks that others are made of; 0 without such an output."""
+    pictures = [array for array in probe.outputs.values() if array.ndim == 4]
+    if len(pictures) != 1:
+        return 0
+    return int(pictures[0].shape[-1 if probe.channels_last else 1])
+
+
+def _are_scores(rows: Array) -> Array:
+    """(K,) True for columns with nothing but numbers between 0 and 1."""
+    inside = (rows >= -SCORE_TOLERANCE) & (rows <= 1 + SCORE_TOLERANCE)
+    return np.asarray(inside.all(axis=0))
+
+
+def _boxes_per_cell(probe: Probe, count: int) -> int:
+    """1 or 3 if a network has so many boxes for each cell of its input, else 0."""
+    for sides in _SIDES:
+        total = _cell_count(probe, sides)
+        if count in (total, 3 * total):
+            return count // total
+    return 0
+
+
+def _cell_count(probe: Probe, sides: tuple[int, ...]) -> int:
+    """The number of cells of an input, for cells of these sides in pixels."""
+    return sum(-(-probe.width // side) * -(-probe.height // side) for side in sides)
+
+
+def _of_several(probe: Probe) -> Layout | None:
+    """The layout of a network with boxes, scores and classes in separate outputs; None for
+    others.
+    """
+    outputs = probe.outputs
+    boxes, width = _box_output(outputs)
+    if not boxes:
+        return None
+    place = {name: k for k, name in enumerate(outputs)}
+    shape = outputs[boxes].shape
+    batched = outputs[boxes].ndim == 3
+    lists = [
+        name for name, one in outputs.items() if one.shape == shape[:-1] and not _has(name, "num")
+    ]
+    labels = [
+        name for name in lists if outputs[name].dtype.kind in "iu" or _has(name, "label|class")
+    ]
+    evidence = f"the outputs {', '.join(probe.shape(k) for k in range(len(outputs)))}"
+    if width == 5 and len(lists) == len(labels) == 1:
+        places = (place[boxes], place[boxes], place[labels[0]])
+        name = "MMDetection (corners with score; label)"
+        decode = partial(separate, places, [0, 1, 2, 3])
+        return Layout(decode, 0, False, batched, "imagenet", name=name, evidence=evidence)
+    if width == 4 and len(lists) - len(labels) == 1 and len(labels) <= 1:
+        order = [0, 1, 2, 3]
+        name = "boxes, scores and labels (left, top, right, bottom)"
+        if probe.channels_last or _has(boxes, "detection_boxes"):
+            order = [1, 0, 3, 2]
+            name = "TensorFlow's boxes, scores and classes (top, left, bottom, right)"
+        scores = next(name for name in lists if name not in labels)
+        label_place = place[labels[0]] if labels else -1
+        places = (place[boxes], place[scores], label_place)
+        decode = partial(separate, places, order)
+        return Layout(decode, 0, False, batched, name=name, evidence=evidence)
+    if width == 5:
+        return None
+    tables = [
+        name
+        for name, one in outputs.items()
+        if one.ndim == len(shape) and one.shape[:-1] == shape[:-1] and name != boxes
+    ]
+    if len(tables) != 1:
+        tables = [name for name in tables if _has(name, "logit|label|class|score|conf|prob")]
+    if len(tables) != 1 or not outputs[boxes].size:
+        return None
+    found = _of_queries(outputs[tables[0]], outputs[boxes], boxes, (place[boxes], place[tables[0]]))
+    if found is None:
+        return None
+    return found._replace(batched=batched, evidence=f"{evidence}; {found.evidence}")
+
+
+def _box_output(outputs: Mapping[str, Array]) -> tuple[str, int]:
+    """The name of the output with boxes, and its number of columns; empty and 0 without one."""
+    for width in (4, 5):
+        names = [
+            name for name, one in outputs.items() if one.ndim in (2, 3) and one.shape[-1] == width
+        ]
+        for name in names:
+            if len(names) == 1 or _has(name, "box"):
+                return name, width
+    return "", 0
+
+
+def _of_queries(
+    table: Array, boxes: Array, box_name: str, places: tuple[int, int]
+) -> Layout | None:
+    """The layout of a network with ``boxes`` and the scores of all classes for a grey picture, a
+    ``table``; None if nothing says whether the boxes are corners.
+    """
+    corners = boxes.reshape(-1, 4)
+    many = len(corners) > _MAX_FINAL_ROWS
+    ordered = float((corners[:, 2:] >= corners[:, :2]).all(axis=1).mean())
+    scores, evidence = _class_scores(table)
+    classes = table.shape[-1]
+    if scores.background == classes - 1:
+        classes -= 1
+    if _has(box_name, "pred_boxes|dets") or ordered < (_ORDERED_SHARE if many else 1):
+        pixels = "unit"
+        if _has(box_name, "dets") or scores.background is not None:
+            pixels = "imagenet"
+        name = "DETR (centre, size; scores of all classes)"
+        decode = partial(queries, places, scores, True)
+        return Layout(decode, classes, False, pixels=pixels, name=name, evidence=evidence)
+    if not (corners[:, 2:] > corners[:, :2]).all(axis=1).mean() > _ORDERED_SHARE:
+        return None
+    name = "SSD or YOLO-NAS (corners; scores of all classes)"
+    decode = partial(queries, places, scores, False)
+    return Layout(decode, classes, many, name=name, evidence=evidence, guessed=True)
+
+
+def _class_scores(table: Array) -> tuple[ClassScores, str]:
+    """How the scores of all classes are read, and why, given those for a grey picture.
+
+    A grey picture shows no object: the last or the first class, if it wins nearly everywhere, means
+    "no object".
+    """
+    table = table.astype(np.float64).reshape(-1, table.shape[-1])
+    if not table.size:
+        return ClassScores(), "no rows"
+    logits = bool(table.min() < -SCORE_TOLERANCE or table.max() > 1 + SCORE_TOLERANCE)
+    last = table.shape[1] - 1
+    exclusive = bool((np.abs(table.sum(axis=1) - 1) <= _SUM_TOLERANCE).all())
+    winners = table.argmax(axis=1)
+    background = None
+    for column in (last, 0):
+        wins = float((winners == column).mean()) > _NO_OBJECT_SHARE
+        if wins and last and (exclusive or (logits and np.median(table[:, column]) > 0)):
+            background = column
+            break
+    if logits:
+        function = "sigmoid" if background is None else "softmax"
+        evidence = f"scores from {table.min():.2g} to {table.max():.2g} are read by {function}"
+    else:
+        function = ""
+        evidence = "scores are between 0 and 1"
+    if background is not None:
+        evidence += f", class {background} means no object"
+    return ClassScores(function, background), evidence
+
+
+def _has(name: str, words: str) -> bool:
+    """Return True if one of the ``words``, separated by ``|``, is part of a name."""
+    return re.search(words, name.lower()) is not None

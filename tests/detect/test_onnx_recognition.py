@@ -1,0 +1,439 @@
+"""What networks without metadata mean, by the shapes and values of their outputs.
+
+Each network has the same outputs for every picture, in the layout of an exporter.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import networks
+from phdtrack.detect.base import guesses
+from phdtrack.detect.detectors import make_detector
+from phdtrack.detect.onnx import OnnxDetector
+from phdtrack.errors import InputError
+from phdtrack.types import F8, Detections, Frame
+
+SIDE = 64
+# Cells of 8, 16 and 32 pixels in the input.
+CELLS = 84
+# Of the one object: left, top, right, bottom in pixels.
+BOX = [8.0, 16.0, 24.0, 56.0]
+CENTRED = [16.0, 36.0, 16.0, 40.0]
+Outputs = Mapping[str, np.ndarray]
+
+
+def picture(side: int = SIDE) -> Frame:
+    return Frame(1, 0.0, np.full((side, side, 3), 90, np.uint8))
+
+
+def spread(count: int, columns: int, seed: int = 0) -> F8:
+    """(1, count, columns) centres and sizes in pixels, and scores near 0."""
+    rng = np.random.default_rng(seed)
+    table = rng.uniform(0.0, 0.02, (1, count, columns))
+    table[0, :, :2] = rng.uniform(0, SIDE, (count, 2))
+    table[0, :, 2:4] = rng.uniform(2, 20, (count, 2))
+    return table
+
+
+def points(table: F8, first: int, count: int, visible: bool) -> None:
+    """Put body points in pixels into the columns from ``first`` on."""
+    rng = np.random.default_rng(1)
+    width = 3 if visible else 2
+    numbers = rng.uniform(0, SIDE, (table.shape[1], count, width))
+    if visible:
+        numbers[..., 2] = rng.uniform(0, 0.3, numbers.shape[:2])
+    table[0, :, first : first + count * width] = numbers.reshape(table.shape[1], -1)
+
+
+def first_row(table: F8, *numbers: float) -> F8:
+    table[0, 0, : len(numbers)] = numbers
+    return table
+
+
+def turned(table: F8) -> F8:
+    return table.transpose(0, 2, 1)
+
+
+def pose() -> Outputs:
+    table = spread(CELLS, 56)
+    points(table, 5, 17, visible=True)
+    return {"output0": turned(first_row(table, *CENTRED, 0.9))}
+
+
+def pose_of_two_classes() -> Outputs:
+    table = spread(CELLS, 4 + 2 + 8)
+    points(table, 6, 4, visible=False)
+    return {"output0": turned(first_row(table, *CENTRED, 0.9, 0.1))}
+
+
+def face() -> Outputs:
+    table = spread(CELLS, 20)
+    points(table, 5, 5, visible=True)
+    return {"output0": turned(first_row(table, *CENTRED, 0.9))}
+
+
+def masks() -> Outputs:
+    table = spread(120, 116)
+    table[0, :, 84:] = np.random.default_rng(2).normal(0, 1, (120, 32))
+    return {
+        "output0": turned(first_row(table, *CENTRED, 0.9)),
+        "output1": np.zeros((1, 32, 16, 16)),
+    }
+
+
+def pose_of_v7() -> Outputs:
+    table = spread(3 * CELLS, 57)
+    table[0, :, 5] = 1.0
+    points(table, 6, 17, visible=True)
+    return {"output": first_row(table, *CENTRED, 0.9)}
+
+
+def face_of_v5() -> Outputs:
+    table = spread(3 * CELLS, 16)
+    points(table, 5, 5, visible=False)
+    table[0, :, 15] = 1.0
+    return {"output": first_row(table, *CENTRED, 0.9)}
+
+
+def face_with_the_class_last() -> Outputs:
+    table = spread(3 * CELLS, 21)
+    points(table, 5, 5, visible=True)
+    table[0, :, 20] = 1.0
+    return {"output": first_row(table, *CENTRED, 0.9)}
+
+
+def masks_of_v5() -> Outputs:
+    table = spread(3 * CELLS, 117)
+    table[0, :, 85:] = np.random.default_rng(2).normal(0, 1, (3 * CELLS, 32))
+    table[0, :, 5] = 1.0
+    return {"output0": first_row(table, *CENTRED, 0.9), "output1": np.zeros((1, 32, 16, 16))}
+
+
+def shares(table: F8) -> F8:
+    table[0, :, :4] /= SIDE
+    return table
+
+
+def rtdetr_rows() -> Outputs:
+    table = spread(300, 6)
+    table[0, :, 5] = np.arange(300) % 3
+    return {"output0": shares(first_row(table, *CENTRED, 0.9, 0))}
+
+
+def rtdetr_table() -> Outputs:
+    return {"output0": shares(first_row(spread(300, 84), *CENTRED, 0.9))}
+
+
+def yolox() -> Outputs:
+    """Undecoded, as exported without an option."""
+    table = spread(CELLS, 25)
+    table[0, :, :4] = np.random.default_rng(3).normal(0, 0.5, (CELLS, 4))
+    # The cell of 16 pixels at (1, 2), behind 64 of 8 pixels.
+    table[0, 64 + 4 * 2 + 1, :6] = [0.0, 0.25, np.log(1.0), np.log(2.5), 0.9, 1.0]
+    return {"output": table}
+
+
+def yolox_decoded() -> Outputs:
+    table = spread(CELLS, 25)
+    return {"output": first_row(table, *CENTRED, 0.9, 1.0)}
+
+
+def yolov6() -> Outputs:
+    table = spread(CELLS, 25)
+    table[0, :, 4] = 1.0
+    return {"outputs": first_row(table, *CENTRED, 1.0, 0.9)}
+
+
+def rows_of_v8() -> Outputs:
+    """As TensorFlow lays them."""
+    return {"output0": first_row(spread(CELLS, 84), *CENTRED, 0.9)}
+
+
+def final_pose() -> Outputs:
+    table = spread(300, 57)
+    points(table, 6, 17, visible=True)
+    table[0, :, 2:4] += table[0, :, :2]
+    table[0, :, 5] = 0.0
+    return {"output0": first_row(table, *BOX, 0.9)}
+
+
+def yolov7_end_to_end() -> Outputs:
+    return {"output": np.array([[0, *BOX, 0, 0.9]])}
+
+
+def ssd_of_caffe() -> Outputs:
+    rows = np.zeros((1, 1, 20, 7))
+    rows[0, 0, 0] = [0, 0, 0.9, *np.divide(BOX, SIDE)]
+    return {"detection_out": rows}
+
+
+def corners_of_all_classes(count: int) -> F8:
+    boxes = spread(count, 4)
+    boxes[..., 2:] += boxes[..., :2]
+    return first_row(boxes, *BOX)
+
+
+def yolo_nas() -> Outputs:
+    scores = np.random.default_rng(4).uniform(0, 0.02, (1, 1344, 80))
+    scores[0, 0, 0] = 0.9
+    return {"boxes": corners_of_all_classes(1344), "scores": scores}
+
+
+def ssd() -> Outputs:
+    """Probabilities of all classes, of which the first means the background."""
+    scores = np.full((1, 3000, 21), 0.001)
+    scores[..., 0] = 0.98
+    scores[0, 0] = [0.1, 0.9, *[0.0] * 19]
+    return {"scores": scores, "boxes": corners_of_all_classes(3000) / SIDE}
+
+
+def mmdetection() -> Outputs:
+    dets = np.zeros((1, 20, 5))
+    dets[0, 0] = [*BOX, 0.9]
+    return {"dets": dets, "labels": np.zeros((1, 20), np.int64)}
+
+
+def detr_with_probabilities() -> Outputs:
+    scores = np.full((1, 50, 5), 0.01)
+    scores[..., 4] = 0.96
+    scores[0, 0] = [0.9, 0.0, 0.0, 0.0, 0.1]
+    return {"scores": scores, "pred_boxes": shares(first_row(spread(50, 4), *CENTRED))}
+
+
+# Outputs, what they are read as, and whether that is a guess.
+RIGHT = [
+    (pose, "YOLO v8 and later", False),
+    (pose_of_two_classes, "YOLO v8 and later", False),
+    (face, "YOLO v8 and later", False),
+    (masks, "YOLO v8 and later", False),
+    (pose_of_v7, "YOLO v5 and v7", False),
+    (face_of_v5, "YOLO v5 and v7", False),
+    (face_with_the_class_last, "YOLO v5 and v7", False),
+    (masks_of_v5, "YOLO v5 and v7", False),
+    (rtdetr_rows, "RT-DETR", False),
+    (rtdetr_table, "RT-DETR", True),
+    (yolox, "YOLOX", False),
+    (yolox_decoded, "YOLOX", True),
+    (yolov6, "YOLO v6", False),
+    (rows_of_v8, "YOLO v8 and later", True),
+    (final_pose, "final boxes", False),
+    (yolov7_end_to_end, "YOLO v7 with suppression", False),
+    (ssd_of_caffe, "SSD", False),
+    (yolo_nas, "SSD or YOLO-NAS", True),
+    (mmdetection, "MMDetection", False),
+    (detr_with_probabilities, "DETR", False),
+]
+
+
+def detections(path: Path, outputs: Outputs, **more: object) -> tuple[OnnxDetector, Detections]:
+    networks.answering(path, outputs, side=SIDE)
+    detector = OnnxDetector(str(path), **more)  # type: ignore[arg-type]
+    return detector, detector(picture())
+
+
+@pytest.mark.parametrize(
+    ("outputs", "name", "guessed"), [pytest.param(*one, id=one[0].__name__) for one in RIGHT]
+)
+def test_one_object_is_found_without_metadata(
+    outputs: object, name: str, guessed: bool, tmp_path: Path
+) -> None:
+    detector, found = detections(tmp_path / "net.onnx", outputs())  # type: ignore[operator]
+    np.testing.assert_allclose(found.xyxy, [BOX], atol=1e-3)
+    np.testing.assert_allclose(found.confidence, [0.9], atol=1e-6)
+    assert found.class_id.tolist() == [0]
+    layout = detector.output_layout
+    assert layout.name.startswith(name)
+    assert layout.guessed == guessed
+    assert bool(guesses(detector)) == guessed
+
+
+def test_class_that_means_background_keeps_its_number(tmp_path: Path) -> None:
+    detector, found = detections(tmp_path / "net.onnx", ssd())
+    assert (found.class_id.tolist(), len(found)) == ([1], 1)
+    np.testing.assert_allclose(found.xyxy, [BOX], atol=1e-3)
+    assert "class 0 means no object" in detector.output_layout.evidence
+
+
+def test_metadata_and_option_name_an_rtdetr(tmp_path: Path) -> None:
+    """Boxes that could be corners: the network gives nothing but rows of zeros."""
+    table = np.zeros((1, 300, 6))
+    frame = picture()
+    head = {"head": "RTDETRDecoder"}
+    described = {"description": "Ultralytics rtdetr-l model trained on coco.yaml"}
+    for metadata, options in ((head, {}), (described, {}), ({}, {"layout": "rtdetr"})):
+        path = networks.answering(tmp_path / "net.onnx", {"output0": table}, metadata, SIDE)
+        detector = OnnxDetector(str(path), **options)  # type: ignore[arg-type]
+        assert detector.output_layout.name.startswith("RT-DETR")
+        assert not detector.output_layout.guessed
+        assert len(detector(frame)) == 0
+    path = networks.answering(tmp_path / "net.onnx", {"output0": table}, {}, SIDE)
+    assert OnnxDetector(str(path)).output_layout.name.startswith("final boxes")
+    assert "This is a guess" in guesses(OnnxDetector(str(path)))[0]
+
+
+def test_chosen_layout_overrides_the_recognised_one(tmp_path: Path) -> None:
+    path = networks.answering(tmp_path / "net.onnx", yolox_decoded(), side=SIDE)
+    for layout, pixels, name in (
+        ("", "bytes", "YOLOX"),
+        ("yolov5", "unit", "YOLO v5"),
+        ("yolox", "bytes", "YOLOX"),
+    ):
+        detector = OnnxDetector(str(path), layout=layout)
+        assert (detector.output_layout.pixels, detector.output_layout.guessed) == (
+            pixels,
+            not layout,
+        )
+        assert detector.output_layout.name.startswith(name)
+        np.testing.assert_allclose(detector(picture()).xyxy, [BOX], atol=1e-3)
+
+
+def test_yolox_takes_blue_first_unless_told_otherwise(tmp_path: Path) -> None:
+    path = networks.answering(tmp_path / "net.onnx", yolox(), side=SIDE)
+    image = np.zeros((SIDE, SIDE, 3), np.uint8)
+    image[..., 0] = 200
+    for options, pixel in (
+        ({}, [200, 0, 0]),
+        ({"pixels": "bytes"}, [0, 0, 200]),
+        ({"pixels": "unit", "bgr": True}, [200 / 255, 0, 0]),
+    ):
+        detector = OnnxDetector(str(path), **options)  # type: ignore[arg-type]
+        taken = detector.letterbox(image).tensor[:, 5, 5]
+        np.testing.assert_allclose(taken, pixel, atol=1e-5)
+
+
+def test_guess_is_reported_once_with_the_cure(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = networks.answering(tmp_path / "net.onnx", yolo_nas(), side=SIDE)
+    with caplog.at_level(logging.WARNING):
+        detector = make_detector(f"onnx:{path}", max_width=32)
+        for _ in range(3):
+            detector(picture())
+        assert len(caplog.messages) == 1
+        (sentence,) = guesses(detector)
+        assert sentence == caplog.messages[0]
+        other = make_detector(f"onnx:{path}")
+        guesses(other)
+        other(picture())
+        assert len(caplog.messages) == 1
+    assert "read as SSD or YOLO-NAS" in sentence
+    assert "boxes (1, 1344, 4), scores (1, 1344, 80)" in sentence
+    assert "detector.layout" in sentence
+
+
+def rotated() -> Outputs:
+    table = spread(300, 7)
+    table[0, :, 5] = 1.0
+    table[0, :, 6] = np.linspace(-0.7, 2.3, 300)
+    return {"output0": table}
+
+
+def rotated_of_v8() -> Outputs:
+    table = spread(CELLS, 20)
+    table[0, :, 19] = np.linspace(-0.7, 2.3, CELLS)
+    return {"output0": turned(table)}
+
+
+def rotated_alike() -> Outputs:
+    """In a grey picture all angles may be alike, and between 0 and 1."""
+    table = spread(CELLS, 20)
+    table[0, :, 19] = 0.78
+    return {"output0": turned(table)}
+
+
+def without_sigmoid() -> Outputs:
+    table = spread(120, 84)
+    table[0, :, 4:] = np.random.default_rng(5).normal(-5, 2, (120, 80))
+    return {"output0": turned(table)}
+
+
+def heads() -> Outputs:
+    return {"a": np.zeros((1, 3, 8, 8, 85)), "b": np.zeros((1, 3, 4, 4, 85))}
+
+
+def heads_of_v8() -> Outputs:
+    return {"a": np.zeros((1, 144, 8, 8)), "b": np.zeros((1, 144, 4, 4))}
+
+
+def relative_boxes() -> Outputs:
+    table = spread(200, 85)
+    table[0, :, 2:4] = -1.0
+    return {"output": table}
+
+
+def no_numbers() -> Outputs:
+    return {"output0": np.full((1, 84, 120), np.nan)}
+
+
+@pytest.mark.parametrize(
+    ("outputs", "reason"),
+    [
+        (rotated, "Rotated boxes"),
+        (rotated_of_v8, "Rotated boxes"),
+        (rotated_alike, "Rotated boxes"),
+        (without_sigmoid, "export the scores with their sigmoid"),
+        (heads, "heads before their boxes are decoded"),
+        (heads_of_v8, "heads before their boxes are decoded"),
+        (relative_boxes, "Sizes are negative"),
+        (no_numbers, "float16 may be too small"),
+    ],
+)
+def test_unusable_outputs_are_refused_with_a_reason(
+    outputs: object, reason: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="are not recognised: ") as error:
+        detections(tmp_path / "net.onnx", outputs())  # type: ignore[operator]
+    assert reason in str(error.value)
+    assert " from " in str(error.value)
+    assert "Try detector.layout=yolov5" in str(error.value)
+
+
+@pytest.mark.parametrize("layout", ["yolov8", "yolov5"])
+def test_score_above_one_is_an_error(layout: str, tmp_path: Path) -> None:
+    """Body points read as scores because the user says so."""
+    outputs = pose_of_v7() if layout == "yolov5" else without_sigmoid()
+    if layout == "yolov8":
+        outputs = {"output0": outputs["output0"] + 20.0}
+    path = networks.answering(tmp_path / "net.onnx", outputs, side=SIDE)
+    names = str(["x"] * 40)
+    if layout == "yolov5":
+        path = networks.answering(tmp_path / "net.onnx", outputs, {"names": names}, SIDE)
+    detector = OnnxDetector(str(path), layout=layout)
+    if layout == "yolov5":
+        # Names that do not fit the values do not make scores of them.
+        assert detector(picture()).confidence.tolist() == pytest.approx([0.9])
+        return
+    with pytest.raises(InputError, match=r"net\.onnx, frame 1: expected scores from 0 to 1, got"):
+        detector(picture())
+
+
+def test_inverted_boxes_are_an_error(tmp_path: Path) -> None:
+    outputs = {"output0": rtdetr_rows()["output0"].copy()}
+    outputs["output0"][0, :20, 4] = 0.8
+    with pytest.raises(InputError, match="most boxes have right left of left"):
+        detections(tmp_path / "net.onnx", outputs, layout="end2end")
+
+
+def test_coco_names_fit_networks_that_count_to_ninety(tmp_path: Path) -> None:
+    scores = np.full((1, 300, 91), -6.0)
+    scores[0, 0, [1, 90]] = [3.0, 2.0]
+    outputs = {"dets": shares(first_row(spread(300, 4), *CENTRED)), "labels": scores}
+    detector, found = detections(tmp_path / "net.onnx", outputs, classes="person")
+    assert (detector.class_names[1], detector.class_names[90]) == ("person", "toothbrush")
+    assert len(detector.class_names) == 80
+    assert found.class_id.tolist() == [1]
+
+
+def test_small_yolo_is_not_taken_for_final_boxes(tmp_path: Path) -> None:
+    """The only class has a score of exactly 1 in every row."""
+    table = spread(3 * CELLS, 6)
+    table[0, :, 5] = 1.0
+    detector, found = detections(tmp_path / "net.onnx", {"output": first_row(table, *CENTRED, 0.9)})
+    assert detector.output_layout.name.startswith("YOLO v5")
+    np.testing.assert_allclose(found.xyxy, [BOX], atol=1e-3)
