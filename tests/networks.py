@@ -199,8 +199,11 @@ def answering(
     outputs: Mapping[str, np.ndarray],
     metadata: Mapping[str, str] | None = None,
     side: int = 64,
+    pairs: tuple[str, ...] = (),
 ) -> Path:
-    """A network that takes (1, 3, side, side) and has these outputs for every picture."""
+    """A network that takes (1, 3, side, side), and pairs of numbers by these names, and has these
+    outputs for every picture.
+    """
     kinds = {"f": TensorProto.FLOAT, "i": TensorProto.INT64}
     nodes = [helper.make_node("Identity", [f"{name}.value"], [name]) for name in outputs]
     values = list[onnx.TensorProto]()
@@ -210,7 +213,8 @@ def answering(
         values.append(numpy_helper.from_array(kept, f"{name}.value"))
         made.append(helper.make_tensor_value_info(name, kinds[kept.dtype.kind], array.shape))
     taken = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, side, side))
-    graph = helper.make_graph(nodes, "answers", [taken], made, values)
+    more = [helper.make_tensor_value_info(name, TensorProto.FLOAT, (1, 2)) for name in pairs]
+    graph = helper.make_graph(nodes, "answers", [taken, *more], made, values)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, dict(metadata or {}))
     path.write_bytes(model.SerializeToString())

@@ -206,6 +206,43 @@ def detr_with_probabilities() -> Outputs:
     return {"scores": scores, "pred_boxes": shares(first_row(spread(50, 4), *CENTRED))}
 
 
+def yolov9() -> Outputs:
+    """Two tables of one shape: that of the auxiliary branch, and the main one."""
+    auxiliary = turned(first_row(spread(CELLS, 24), *CENTRED[::-1], 0.6))
+    main = turned(first_row(spread(CELLS, 24), *CENTRED, 0.9))
+    return {"output0": auxiliary, "output1": main}
+
+
+def tensorflow_2() -> Outputs:
+    """With the outputs of the model zoo, in their order."""
+    boxes = np.zeros((1, 10, 4))
+    boxes[0, 0] = np.divide([BOX[1], BOX[0], BOX[3], BOX[2]], SIDE)
+    scores = np.zeros((1, 10))
+    scores[0, 0] = 0.9
+    return {
+        "detection_anchor_indices": np.zeros((1, 10)),
+        "detection_boxes": boxes,
+        "detection_classes": np.zeros((1, 10)),
+        "detection_multiclass_scores": np.full((1, 10, 3), 0.1),
+        "detection_scores": scores,
+        "num_detections": np.array([10.0]),
+        "raw_detection_boxes": np.zeros((1, 50, 4)),
+        "raw_detection_scores": np.zeros((1, 50, 3)),
+    }
+
+
+def paddle() -> Outputs:
+    rows = np.zeros((30, 6))
+    rows[0] = [0, 0.9, *BOX]
+    return {"multiclass_nms3_0.tmp_0": rows, "multiclass_nms3_0.tmp_2": np.array([30])}
+
+
+def final_rows_of_all_pictures() -> Outputs:
+    rows = np.zeros((30, 6))
+    rows[0] = [*BOX, 0.9, 0]
+    return {"output": rows}
+
+
 # Outputs, what they are read as, and whether that is a guess.
 RIGHT = [
     (pose, "YOLO v8 and later", False),
@@ -227,6 +264,10 @@ RIGHT = [
     (ssd_of_caffe, "SSD", False),
     (yolo_nas, "SSD or YOLO-NAS", True),
     (mmdetection, "MMDetection", False),
+    (yolov9, "YOLO v8 and later", False),
+    (tensorflow_2, "TensorFlow's boxes", False),
+    (paddle, "PaddleDetection", False),
+    (final_rows_of_all_pictures, "final boxes", False),
     (detr_with_probabilities, "DETR", False),
 ]
 
@@ -305,6 +346,28 @@ def test_yolox_takes_blue_first_unless_told_otherwise(tmp_path: Path) -> None:
         detector = OnnxDetector(str(path), **options)  # type: ignore[arg-type]
         taken = detector.letterbox(image).tensor[:, 5, 5]
         np.testing.assert_allclose(taken, pixel, atol=1e-5)
+
+
+def test_paddle_gets_the_size_and_the_scale_of_its_input(tmp_path: Path) -> None:
+    path = networks.answering(
+        tmp_path / "net.onnx", paddle(), side=SIDE, pairs=("im_shape", "scale_factor")
+    )
+    detector = make_detector(f"onnx:{path}", pixels="signed")
+    np.testing.assert_allclose(detector(picture()).xyxy, [BOX], atol=1e-3)
+    assert isinstance(detector, OnnxDetector)
+    white = np.full((SIDE, SIDE, 3), 255, np.uint8)
+    np.testing.assert_allclose(detector.letterbox(white).tensor, 1.0)
+    np.testing.assert_allclose(detector.letterbox(0 * white).tensor, -1.0)
+
+
+@pytest.mark.parametrize("number", [7.0, np.nan])
+def test_one_bad_row_does_not_change_the_unit_of_the_others(number: float, tmp_path: Path) -> None:
+    boxes = shares(first_row(spread(300, 4), *CENTRED))
+    boxes[0, 5] = number
+    scores = np.full((1, 300, 3), -6.0)
+    scores[0, 0, 0] = 3.0
+    found = detections(tmp_path / "net.onnx", {"dets": boxes, "labels": scores})[1]
+    np.testing.assert_allclose(found.xyxy, [BOX], atol=1e-3)
 
 
 def test_guess_is_reported_once_with_the_cure(

@@ -47,7 +47,9 @@ _TYPES: Mapping[str, Any] = {
     "tensor(float16)": np.float16,
     "tensor(uint8)": np.uint8,
 }
-_PIXELS = ("unit", "bytes", "imagenet")
+_PIXELS = ("unit", "bytes", "imagenet", "signed")
+# Further inputs of PaddleDetection: the size of the input, and the scale of the picture in it.
+_PADDLE_INPUTS = ("im_shape", "scale_factor")
 _GREY = 114
 _DEFAULT_SIDE = 640
 _DEFAULT_STRIDE = 32
@@ -113,8 +115,8 @@ class OnnxDetector:
         higher score is kept, unless the network does so itself; 1: both are kept.
     classes : names or numbers of the classes to report, separated by commas; empty: all.
     layout : of the outputs, one of `onnx_layouts.LAYOUTS`, if the recognised one is wrong.
-    pixels : unit (0 to 1), bytes (0 to 255) or imagenet (mean 0, deviation 1); empty: unit, for
-        DETR and RF-DETR imagenet, for YOLOX bytes with blue before red.
+    pixels : unit (0 to 1), bytes (0 to 255), signed (-1 to 1) or imagenet (mean 0, deviation 1);
+        empty: unit, for DETR and RF-DETR imagenet, for YOLOX bytes with blue before red.
     bgr : the network takes blue before red.
     stretch : stretch the frame to fill the input, without keeping its aspect.
     size : longer side of the input in pixels, if any is accepted; 0: as the metadata states, or
@@ -225,7 +227,10 @@ class OnnxDetector:
         rows = np.flatnonzero(good)
         rows = rows[np.argsort(-score[rows], kind="stable")]
         boxes = xyxy[rows].astype(np.float64)
-        if len(xyxy) and float(np.abs(xyxy).max()) <= MAX_SHARE:
+        shares = self.output_layout.shares
+        if shares is None:
+            shares = len(xyxy) > 0 and float(np.abs(xyxy).max()) <= MAX_SHARE
+        if shares:
             boxes = boxes * np.tile(letterbox.size, 2)
         found = Detections(boxes, score[rows].astype(np.float64), label[rows].astype(np.int64))
         if self.output_layout.overlapping and self.overlap < 1 and len(found) > 1:
@@ -302,6 +307,8 @@ class OnnxDetector:
         values: Array = cv2.dnn.blobFromImage(
             canvas, factor, swapRB=not self._blue_first, ddepth=cv2.CV_32F
         )[0]
+        if pixels == "signed":
+            values = values * 2 - 1
         if pixels == "imagenet":
             order = -1 if self._blue_first else 1
             mean = _MEAN[::order, None, None]
@@ -317,12 +324,8 @@ class OnnxDetector:
         feed: dict[str, Array] = {self._input.name: batch[0] if self._input.batch < 0 else batch}
         width, height = inputs[0].size
         for name in self._other_inputs:
-            # The size of the picture that boxes refer to, or a mask of its valid pixels.
-            if "size" in name:
-                fill = np.array([width, height])
-            else:
-                fill = np.ones((int(height), int(width)))
-            feed[name] = np.tile(fill.astype(np.int64), (len(batch), *[1] * fill.ndim))
+            fill = _other_input(name, int(width), int(height))
+            feed[name] = np.tile(fill, (len(batch), *[1] * fill.ndim))
         try:
             outputs: list[Array] = self._session.run(None, feed)
         except Exception as error:
@@ -338,7 +341,8 @@ class OnnxDetector:
         others = [
             one.name
             for one in inputs
-            if one.type == "tensor(int64)" and re.search("size|mask", one.name)
+            if (one.type == "tensor(int64)" and re.search("size|mask", one.name))
+            or (one.type == "tensor(float)" and one.name in _PADDLE_INPUTS)
         ]
         if len(pictures) == 1 and len(others) == len(inputs) - 1:
             picture = pictures[0]
@@ -380,7 +384,7 @@ class OnnxDetector:
         )
         layout = recognise(probe)
         if layout is not None:
-            return layout
+            return layout._replace(shares=_in_shares(layout, [*outputs.values()]))
         got = ", ".join(_described(name, one) for name, one in outputs.items())
         got += f"; inputs: {_listed(self._session.get_inputs())}"
         if task:
@@ -430,6 +434,30 @@ def _class_names(names: Any) -> Mapping[int, str]:
     if isinstance(names, dict) and all(type(key) is int for key in names):
         return {key: str(value) for key, value in names.items()}
     return {}
+
+
+def _other_input(name: str, width: int, height: int) -> Array:
+    """The value of an input that is no picture, for an input of this size in pixels."""
+    if name == "im_shape":
+        return np.array([height, width], np.float32)
+    if name == "scale_factor":
+        return np.ones(2, np.float32)
+    if "size" in name:
+        # The size of the picture that boxes refer to.
+        return np.array([width, height], np.int64)
+    # A mask of the valid pixels.
+    return np.ones((height, width), np.int64)
+
+
+def _in_shares(layout: Layout, outputs: list[Array]) -> bool | None:
+    """Return True if most boxes are in shares of the input; None if there are no boxes."""
+    if layout.batched:
+        outputs = [output[0] for output in outputs]
+    boxes = layout.decode(outputs)[0]
+    boxes = boxes[boxes.any(axis=1) & np.isfinite(boxes).all(axis=1)]
+    if not len(boxes):
+        return None
+    return float(np.median(np.abs(boxes).max(axis=1))) <= MAX_SHARE
 
 
 def _coco_names(classes: int) -> Mapping[int, str]:

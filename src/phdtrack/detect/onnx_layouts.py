@@ -34,6 +34,8 @@ class Layout(NamedTuple):
     name : of the layout, for the user.
     evidence : why it was recognised, for the user.
     guessed : True if the evidence also fits another layout.
+    shares : True if boxes are in shares of the input, False if they are in pixels; None if that
+        is seen only in the boxes of a frame.
     """
 
     decode: Decode
@@ -45,6 +47,7 @@ class Layout(NamedTuple):
     name: str = ""
     evidence: str = ""
     guessed: bool = False
+    shares: bool | None = None
 
 
 def unbatched() -> Layout:
@@ -118,7 +121,17 @@ def cells(
 
 
 def cell_anchors(width: int, height: int, sides: Sequence[int]) -> Array:
-    """(N, 3) left, top and side of all cells of an input, row by row, for each side in pixels."""
+    """The cells of an input, row by row for each side.
+
+    Parameters
+    ----------
+    width, height : of the input in pixels.
+    sides : of the cells in pixels.
+
+    Returns
+    -------
+    anchors : (N, 3) left and top in cells, side in pixels.
+    """
     levels = []
     for side in sides:
         top, left = np.mgrid[0 : -(-height // side), 0 : -(-width // side)]

@@ -55,10 +55,11 @@ _COCO_CLASSES = 80
 # Medians over all boxes of a grey picture, of what can be no score and of scores.
 _LARGE_SCORE = 0.25
 _SMALL_SCORE = 0.1
-# Columns (image, left, top, right, bottom, class, score), and (image, class, score, left, top,
-# right, bottom).
+# Columns (image, left, top, right, bottom, class, score), (image, class, score, left, top, right,
+# bottom), and (class, score, left, top, right, bottom).
 _YOLOV7_COLUMNS = (1, 2, 3, 4, 6, 5)
 _SSD_COLUMNS = (3, 4, 5, 6, 2, 1)
+_PADDLE_COLUMNS = (2, 3, 4, 5, 1, 0)
 
 
 class Probe(NamedTuple):
@@ -100,32 +101,43 @@ def recognise(probe: Probe) -> Layout | None:
     """The layout of a network; None if it is not recognised."""
     if probe.task in ("obb", "classify"):
         return None
-    dimensions = [array.ndim for array in probe.outputs.values()]
+    place = _main_output(probe)
     found = None
-    if dimensions.count(3) == 1 and min(dimensions) >= 3:
-        found = _of_final_rows(probe, dimensions.index(3))
-        if found is None and not _is_rotated(probe, dimensions.index(3)):
-            found = _of_grid(probe, dimensions.index(3))
+    if place >= 0:
+        found = _of_final_rows(probe, place)
+        if found is None and not _is_rotated(probe, place):
+            found = _of_grid(probe, place)
     if found is None and not probe.layout:
         found = _of_all_pictures(probe) or _of_several(probe)
     return found
 
 
-def obstacle(probe: Probe) -> str:
-    """What stands against the outputs that are not recognised, with the cure; empty if there is
-    nothing to say.
+def _main_output(probe: Probe) -> int:
+    """The index of the output that has boxes, scores and classes; -1 if there is none.
+
+    A YOLO v9 that was not converted has two of one shape, the auxiliary and the main one.
     """
+    arrays = [*probe.outputs.values()]
+    tables = [k for k, array in enumerate(arrays) if array.ndim == 3]
+    alike = len({arrays[k].shape for k in tables}) == 1
+    if not alike or min(array.ndim for array in arrays) < 3:
+        return -1
+    return tables[-1]
+
+
+def obstacle(probe: Probe) -> str:
+    """The reason why outputs are not recognised, with the cure; empty if it is not known."""
     arrays = [*probe.outputs.values()]
     if any(array.dtype.kind == "f" and np.isnan(array).any() for array in arrays):
         return "Some outputs are no numbers: float16 may be too small. Export it with float32."
     if any(array.ndim == 5 for array in arrays) or sum(array.ndim == 4 for array in arrays) > 1:
         return "These are heads before their boxes are decoded: export the network with decoding."
-    tables = [k for k, array in enumerate(arrays) if array.ndim == 3 and min(array.shape[1:]) > 4]
-    if len(tables) != 1:
+    place = _main_output(probe)
+    if place < 0 or min(arrays[place].shape[1:]) <= 4:
         return ""
-    rotated = probe.task == "obb" or _is_rotated(probe, tables[0])
-    form = _form(probe, arrays[tables[0]])
-    rows = arrays[tables[0]]
+    rotated = probe.task == "obb" or _is_rotated(probe, place)
+    form = _form(probe, arrays[place])
+    rows = arrays[place]
     if not form.upright:
         rows = rows.swapaxes(1, 2)
     rows = rows.reshape(-1, rows.shape[2])
@@ -140,24 +152,37 @@ def obstacle(probe: Probe) -> str:
 
 
 def _of_all_pictures(probe: Probe) -> Layout | None:
-    """The layout of a network with the boxes of all pictures in one output of 7 columns; None for
-    others.
+    """The layout of a network with the boxes of all pictures in one output of 6 or 7 columns, and
+    perhaps their number in another one; None for others.
     """
-    if len(probe.outputs) != 1:
+    arrays = [*probe.outputs.values()]
+    tables = [k for k, array in enumerate(arrays) if array.ndim > 1]
+    if len(tables) != 1 or len(arrays) > 2:
         return None
-    shape = next(iter(probe.outputs.values())).shape
-    if shape[-1:] != (7,):
-        return None
-    evidence = f"the shape {probe.shape(0)}"
-    if len(shape) == 2:
-        decode = partial(end_to_end, 0, _YOLOV7_COLUMNS, False)
+    place = tables[0]
+    shape = arrays[place].shape
+    guessed = False
+    if len(shape) == 2 and shape[1] == 7:
+        columns = _YOLOV7_COLUMNS
         name = "YOLO v7 with suppression inside (image, corners, class, score)"
-        return Layout(decode, probe.names, False, False, name=name, evidence=evidence)
-    if len(shape) == 4 and shape[:2] == (1, 1):
-        decode = partial(end_to_end, 0, _SSD_COLUMNS, False)
+    elif len(shape) == 4 and shape[:2] == (1, 1) and shape[3] == 7:
+        columns = _SSD_COLUMNS
         name = "SSD (image, class, score, corners)"
-        return Layout(decode, 0, False, False, name=name, evidence=evidence)
-    return None
+    elif len(shape) == 2 and shape[1] == 6:
+        rows = arrays[place]
+        ends = not (rows[:, 5] % 1).any() and bool(_are_scores(rows[:, 4:5]).all())
+        starts = not (rows[:, 0] % 1).any() and bool(_are_scores(rows[:, 1:2]).all())
+        columns = USUAL_COLUMNS
+        name = "final boxes (left, top, right, bottom, score, class)"
+        if starts and (not ends or len(arrays) == 2):
+            columns = _PADDLE_COLUMNS
+            name = "PaddleDetection (class, score, corners)"
+        guessed = starts == ends
+    else:
+        return None
+    decode = partial(end_to_end, place, columns, False)
+    evidence = f"the shape {probe.shape(place)}"
+    return Layout(decode, probe.names, False, False, "unit", False, name, evidence, guessed)
 
 
 def _of_final_rows(probe: Probe, place: int) -> Layout | None:
@@ -454,7 +479,9 @@ def _of_several(probe: Probe) -> Layout | None:
     shape = outputs[boxes].shape
     batched = outputs[boxes].ndim == 3
     lists = [
-        name for name, one in outputs.items() if one.shape == shape[:-1] and not _has(name, "num")
+        name
+        for name, one in outputs.items()
+        if one.shape == shape[:-1] and not _has(name, "num|anchor|indices")
     ]
     labels = [
         name for name in lists if outputs[name].dtype.kind in "iu" or _has(name, "label|class")
@@ -476,7 +503,7 @@ def _of_several(probe: Probe) -> Layout | None:
         places = (place[boxes], place[scores], label_place)
         decode = partial(separate, places, order)
         return Layout(decode, 0, False, batched, name=name, evidence=evidence)
-    if width == 5:
+    if width == 5 or _has(boxes, "detection_boxes"):
         return None
     tables = [
         name
@@ -497,7 +524,9 @@ def _box_output(outputs: Mapping[str, Array]) -> tuple[str, int]:
     """The name of the output with boxes, and its number of columns; empty and 0 without one."""
     for width in (4, 5):
         names = [
-            name for name, one in outputs.items() if one.ndim in (2, 3) and one.shape[-1] == width
+            name
+            for name, one in outputs.items()
+            if one.ndim in (2, 3) and one.shape[-1] == width and not _has(name, "raw")
         ]
         for name in names:
             if len(names) == 1 or _has(name, "box"):
