@@ -11,11 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import networks
 from phdtrack.detect.base import guesses
 from phdtrack.detect.detectors import make_detector
 from phdtrack.detect.onnx import OnnxDetector
+from phdtrack.detect.onnx_layouts import LAYOUTS, of_picture
+from phdtrack.detect.onnx_recognition import Probe, obstacle, recognise
 from phdtrack.errors import InputError
 from phdtrack.types import F8, Detections, Frame
 
@@ -457,23 +461,71 @@ def test_unusable_outputs_are_refused_with_a_reason(
     assert "Try detector.layout=yolov5" in str(error.value)
 
 
-@pytest.mark.parametrize("layout", ["yolov8", "yolov5"])
-def test_score_above_one_is_an_error(layout: str, tmp_path: Path) -> None:
-    """Body points read as scores because the user says so."""
-    outputs = pose_of_v7() if layout == "yolov5" else without_sigmoid()
-    if layout == "yolov8":
-        outputs = {"output0": outputs["output0"] + 20.0}
+def test_names_do_not_make_an_angle_a_further_number(tmp_path: Path) -> None:
+    names = {"names": str(["x"] * 15)}
+    path = networks.answering(tmp_path / "net.onnx", rotated_of_v8(), names, SIDE)
+    with pytest.raises(InputError, match="Rotated boxes"):
+        OnnxDetector(str(path))
+
+
+def test_score_above_one_is_an_error(tmp_path: Path) -> None:
+    """Body points are read as scores because the user says so."""
+    outputs = {"output0": without_sigmoid()["output0"] + 20.0}
     path = networks.answering(tmp_path / "net.onnx", outputs, side=SIDE)
-    names = str(["x"] * 40)
-    if layout == "yolov5":
-        path = networks.answering(tmp_path / "net.onnx", outputs, {"names": names}, SIDE)
-    detector = OnnxDetector(str(path), layout=layout)
-    if layout == "yolov5":
-        # Names that do not fit the values do not make scores of them.
-        assert detector(picture()).confidence.tolist() == pytest.approx([0.9])
-        return
+    detector = OnnxDetector(str(path), layout="yolov8")
     with pytest.raises(InputError, match=r"net\.onnx, frame 1: expected scores from 0 to 1, got"):
         detector(picture())
+
+
+def test_names_that_fit_no_values_are_no_evidence(tmp_path: Path) -> None:
+    names = {"names": str(["x"] * 40)}
+    path = networks.answering(tmp_path / "net.onnx", pose_of_v7(), names, SIDE)
+    detector = OnnxDetector(str(path))
+    found = detector(picture())
+    np.testing.assert_allclose(found.xyxy, [BOX], atol=1e-3)
+    np.testing.assert_allclose(found.confidence, [0.9], atol=1e-6)
+    assert "name 40 classes, but boxes have scores of 1" in guesses(detector)[0]
+
+
+shapes = st.lists(st.integers(0, 9), min_size=0, max_size=4)
+
+
+@given(data=st.data())
+def test_any_outputs_are_read_or_not_recognised(data: st.DataObject) -> None:
+    names = data.draw(
+        st.lists(
+            st.sampled_from(["boxes", "scores", "labels", "dets", "num", "a", "b"]),
+            min_size=1,
+            max_size=4,
+            unique=True,
+        )
+    )
+    rng = np.random.default_rng(data.draw(st.integers(0, 9)))
+    outputs = dict[str, np.ndarray]()
+    for name in names:
+        shape = [1, *data.draw(shapes)]
+        kind = data.draw(st.sampled_from(["share", "pixel", "whole", "zero", "nan"]))
+        values = {
+            "share": rng.uniform(0, 1, shape),
+            "pixel": rng.uniform(-3, 640, shape),
+            "whole": rng.integers(0, 3, shape),
+            "zero": np.zeros(shape),
+            "nan": np.full(shape, np.nan),
+        }
+        outputs[name] = values[kind]
+    layout = data.draw(st.sampled_from(["", *LAYOUTS]))
+    known = data.draw(st.integers(0, 3))
+    probe = Probe(outputs, SIDE, SIDE, True, layout, known, "", "", False)
+    found = recognise(probe)
+    if found is None:
+        assert isinstance(obstacle(probe), str)
+        return
+    arrays = [*outputs.values()]
+    if found.batched:
+        arrays = of_picture(arrays, 0)
+    boxes, scores, labels = found.decode(arrays)
+    assert boxes.shape == (len(scores), 4)
+    assert len(labels) == len(scores)
 
 
 def test_inverted_boxes_are_an_error(tmp_path: Path) -> None:
@@ -491,6 +543,16 @@ def test_coco_names_fit_networks_that_count_to_ninety(tmp_path: Path) -> None:
     assert (detector.class_names[1], detector.class_names[90]) == ("person", "toothbrush")
     assert len(detector.class_names) == 80
     assert found.class_id.tolist() == [1]
+
+
+def test_rfdetr_with_four_scores_keeps_its_boxes(tmp_path: Path) -> None:
+    """Boxes and scores of three classes and the background have one shape."""
+    scores = np.full((1, 300, 4), -6.0)
+    scores[0, 0, 2] = 3.0
+    outputs = {"dets": shares(first_row(spread(300, 4), *CENTRED)), "labels": scores}
+    found = detections(tmp_path / "net.onnx", outputs)[1]
+    np.testing.assert_allclose(found.xyxy, [BOX], atol=1e-3)
+    assert found.class_id.tolist() == [2]
 
 
 def test_small_yolo_is_not_taken_for_final_boxes(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from phdtrack.detect.onnx_layouts import LAYOUTS, Array, Layout, unbatched
+from phdtrack.detect.onnx_layouts import LAYOUTS, Array, Layout, of_picture, unbatched
 from phdtrack.detect.onnx_recognition import (
     MAX_SHARE,
     SCORE_TOLERANCE,
@@ -169,7 +169,8 @@ class OnnxDetector:
             )
         self.output_layout = unbatched()
         self.output_layout = self._recognised(metadata)
-        self._untold = list(self._guesses())
+        self._sentences = tuple(self._guesses())
+        self._untold = list(self._sentences)
         if not self.class_names:
             self.class_names = _coco_names(self.output_layout.classes)
         words = [word.strip() for word in self.classes.split(",")]
@@ -188,7 +189,7 @@ class OnnxDetector:
         the first frame.
         """
         self._untold.clear()
-        return tuple(self._guesses())
+        return self._sentences
 
     def reset(self) -> None:
         """Do nothing: there is nothing to forget."""
@@ -200,7 +201,7 @@ class OnnxDetector:
     def detect_batch(self, frames: Sequence[Frame]) -> list[Detections]:
         """The boxes that the network finds in each of the frames."""
         while self._untold:
-            _LOG.warning(self._untold.pop())
+            _LOG.warning(self._untold.pop(0))
         inputs = [self.letterbox(frame.image) for frame in frames]
         step = 1
         if len({one.tensor.shape for one in inputs}) == 1:
@@ -332,7 +333,7 @@ class OnnxDetector:
             raise InputError(f"the network failed: {_reason(error)}", where=self.file) from error
         if not self.output_layout.batched:
             return [outputs for _ in inputs]
-        return [[array[k] for array in outputs] for k in range(len(inputs))]
+        return [of_picture(outputs, k) for k in range(len(inputs))]
 
     def _inputs(self) -> tuple[_Input, list[str]]:
         """The picture, and the names of the network's other inputs."""
@@ -401,7 +402,14 @@ class OnnxDetector:
         return f"{self.file}: the outputs are read as {layout.name}, by {layout.evidence}."
 
     def _guesses(self) -> Iterator[str]:
-        """Sentences about what was guessed."""
+        """Sentences about what was guessed, given the class names of the metadata."""
+        named = len(self.class_names)
+        scored = self.output_layout.classes
+        if named and scored and named != scored:
+            yield (
+                f"{self.file}: the metadata name {named} classes, but boxes have scores of"
+                f" {scored}, so that the names may be wrong. Give them by classes.names."
+            )
         if self.output_layout.guessed:
             yield f"{self._description()} This is a guess. {_OTHER_LAYOUT}"
 
@@ -452,7 +460,7 @@ def _other_input(name: str, width: int, height: int) -> Array:
 def _in_shares(layout: Layout, outputs: list[Array]) -> bool | None:
     """Return True if most boxes are in shares of the input; None if there are no boxes."""
     if layout.batched:
-        outputs = [output[0] for output in outputs]
+        outputs = of_picture(outputs, 0)
     boxes = layout.decode(outputs)[0]
     boxes = boxes[boxes.any(axis=1) & np.isfinite(boxes).all(axis=1)]
     if not len(boxes):

@@ -18,6 +18,8 @@ Decode = Callable[[Sequence[Array]], tuple[Array, Array, Array]]
 LAYOUTS = ("yolov5", "yolov8", "yolox", "end2end", "rtdetr")
 # Columns of left, top, right, bottom, score, class in the rows of most end-to-end networks.
 USUAL_COLUMNS = (0, 1, 2, 3, 4, 5)
+# Of the size of a box in cells: more is cut off.
+_LARGEST_LOGARITHM = 20.0
 
 
 class Layout(NamedTuple):
@@ -53,6 +55,11 @@ class Layout(NamedTuple):
 def unbatched() -> Layout:
     """The layout that passes all outputs on unchanged."""
     return Layout(partial(end_to_end, 0, USUAL_COLUMNS, False), 0, False, False)
+
+
+def of_picture(outputs: Sequence[Array], index: int) -> list[Array]:
+    """The outputs for one picture of a batch; those without an axis for pictures as they are."""
+    return [array[index] if array.ndim and len(array) > index else array for array in outputs]
 
 
 def end_to_end(
@@ -115,7 +122,7 @@ def cells(
     rows = outputs[place].astype(np.float32)
     side = anchors[:, 2:]
     centre = (rows[:, :2] + anchors[:, :2]) * side
-    size = np.exp(rows[:, 2:4]) * side
+    size = np.exp(np.minimum(rows[:, 2:4], _LARGEST_LOGARITHM)) * side
     score, label = _largest(rows, True, columns)
     return _corners(np.hstack([centre, size])), score, label
 

@@ -120,7 +120,7 @@ def _main_output(probe: Probe) -> int:
     arrays = [*probe.outputs.values()]
     tables = [k for k, array in enumerate(arrays) if array.ndim == 3]
     alike = len({arrays[k].shape for k in tables}) == 1
-    if not alike or min(array.ndim for array in arrays) < 3:
+    if not alike or not len(arrays[tables[0]]) or min(array.ndim for array in arrays) < 3:
         return -1
     return tables[-1]
 
@@ -339,7 +339,7 @@ def _form(probe: Probe, array: Array) -> _Form:
         return _Form(True, True, _V5, f"{shape} and {names} names of classes")
     if probe.is_rtdetr:
         return _Form(True, False, _RTDETR, f"{shape} and {probe.head!r} in the metadata")
-    if per_cell == 1:
+    if per_cell == 1 and wide > 5:
         return _form_of_one_per_cell(array, names, shape)
     boxes = array[..., :4]
     shares = boxes.any() and float(boxes.min()) >= 0 and float(boxes.max()) <= 1
@@ -384,7 +384,7 @@ def _score_columns(probe: Probe, rows: Array, first: int) -> tuple[int, int] | N
     """
     wide = rows.shape[1]
     good = _are_scores(rows)
-    if not good[4:first].all():
+    if not good[4:first].all() or _ends_with_angle(probe, rows, first):
         return None
     more = wide - first - probe.names
     if probe.names and more >= 0 and good[first : first + probe.names].all():
@@ -394,8 +394,6 @@ def _score_columns(probe: Probe, rows: Array, first: int) -> tuple[int, int] | N
     masks = _masks(probe)
     if masks and good[first : wide - masks].any() and good[first : wide - masks].all():
         return first, wide - masks
-    if _ends_with_angle(probe, rows, first):
-        return None
     leading = int(np.argmin([*good[first:], False]))
     rest = wide - first - leading
     # A body point has two or three numbers.
@@ -410,7 +408,8 @@ def _ends_with_angle(probe: Probe, rows: Array, first: int) -> bool:
     """Return True if the last column is an angle: it is outside 0 to 1, or has large numbers in a
     grey picture, where scores are small.
     """
-    if rows.shape[1] < first + 2 or probe.names == rows.shape[1] - first or first == 5:
+    count = rows.shape[1] - first
+    if count < 2 or probe.names == count or first == 5 or not len(rows):
         return False
     good = _are_scores(rows[:, first:])
     usual = np.median(rows[:, first:], axis=0)
@@ -473,7 +472,7 @@ def _of_several(probe: Probe) -> Layout | None:
     """
     outputs = probe.outputs
     boxes, width = _box_output(outputs)
-    if not boxes:
+    if not boxes or (outputs[boxes].ndim == 3 and not len(outputs[boxes])):
         return None
     place = {name: k for k, name in enumerate(outputs)}
     shape = outputs[boxes].shape
@@ -512,7 +511,7 @@ def _of_several(probe: Probe) -> Layout | None:
     ]
     if len(tables) != 1:
         tables = [name for name in tables if _has(name, "logit|label|class|score|conf|prob")]
-    if len(tables) != 1 or not outputs[boxes].size:
+    if len(tables) != 1 or not outputs[boxes].size or not outputs[tables[0]].size:
         return None
     found = _of_queries(outputs[tables[0]], outputs[boxes], boxes, (place[boxes], place[tables[0]]))
     if found is None:
@@ -529,7 +528,7 @@ def _box_output(outputs: Mapping[str, Array]) -> tuple[str, int]:
             if one.ndim in (2, 3) and one.shape[-1] == width and not _has(name, "raw")
         ]
         for name in names:
-            if len(names) == 1 or _has(name, "box"):
+            if len(names) == 1 or _has(name, "box|dets"):
                 return name, width
     return "", 0
 
@@ -568,8 +567,6 @@ def _class_scores(table: Array) -> tuple[ClassScores, str]:
     "no object".
     """
     table = table.astype(np.float64).reshape(-1, table.shape[-1])
-    if not table.size:
-        return ClassScores(), "no rows"
     logits = bool(table.min() < -SCORE_TOLERANCE or table.max() > 1 + SCORE_TOLERANCE)
     last = table.shape[1] - 1
     exclusive = bool((np.abs(table.sum(axis=1) - 1) <= _SUM_TOLERANCE).all())
