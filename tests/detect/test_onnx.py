@@ -173,6 +173,30 @@ def test_batches_give_the_same_as_single_frames(shape: tuple[object, ...], tmp_p
         np.testing.assert_array_equal(one.confidence, other.confidence)
 
 
+@pytest.mark.parametrize(
+    ("layout", "shape"),
+    [
+        (layout, shape)
+        for layout in ("pose", "masks", "face", "rtdetr-rows", "yolox", "rfdetr")
+        for shape in (("N", 3, 96, 128), (3, 3, 96, 128), ("N", 96, 128, 3), ("N", 3, "H", "W"))
+        # An undecoded YOLOX has a fixed size.
+        if layout != "yolox" or "H" not in shape
+    ],
+)
+def test_layouts_with_all_axes_and_batches(
+    layout: str, shape: tuple[object, ...], tmp_path: Path
+) -> None:
+    path = networks.write(tmp_path / "net.onnx", layout, shape)
+    detector = OnnxDetector(str(path), batch=3, size=128 if "H" in shape else 0)
+    assert detector.batch_size == 3
+    moved = {code: tuple(np.add(box, 5)) for code, box in BOXES.items()}
+    frames = [networks.scene(200, 120, BOXES, 1), networks.scene(200, 120, moved, 2)]  # type: ignore[arg-type]
+    found = detector.detect_batch(frames)
+    for one, boxes in zip(found, (BOXES, moved), strict=True):
+        np.testing.assert_allclose(one.xyxy, networks.truth(boxes), atol=1.6)  # type: ignore[arg-type]
+        assert one.class_id.tolist() == [0, 1, 2]
+
+
 def test_frames_before_an_error_are_detected(
     fixed: OnnxDetector, monkeypatch: pytest.MonkeyPatch
 ) -> None:

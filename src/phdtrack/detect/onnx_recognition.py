@@ -388,12 +388,13 @@ def _score_columns(probe: Probe, rows: Array, first: int) -> tuple[int, int] | N
         return None
     more = wide - first - probe.names
     if probe.names and more >= 0 and good[first : first + probe.names].all():
-        masks_or_points = probe.task in ("segment", "pose") or more == _masks(probe)
+        masks_or_points = probe.task in ("segment", "pose") or more in (0, *_masks(probe))
         if masks_or_points or not good[first:].all():
             return first, first + probe.names
-    masks = _masks(probe)
-    if masks and good[first : wide - masks].any() and good[first : wide - masks].all():
-        return first, wide - masks
+    for masks in _masks(probe):
+        last = wide - masks
+        if last > first and good[first:last].all():
+            return first, last
     leading = int(np.argmin([*good[first:], False]))
     rest = wide - first - leading
     # A body point has two or three numbers.
@@ -438,12 +439,15 @@ def _columns_behind_points(good: Array) -> tuple[int, int] | None:
     return None
 
 
-def _masks(probe: Probe) -> int:
-    """The number of masks that others are made of; 0 without such an output."""
+def _masks(probe: Probe) -> tuple[int, ...]:
+    """How many masks there may be that others are made of, the smaller number first; empty without
+    such an output.
+    """
     pictures = [array for array in probe.outputs.values() if array.ndim == 4]
     if len(pictures) != 1:
-        return 0
-    return int(pictures[0].shape[-1 if probe.channels_last else 1])
+        return ()
+    shape = pictures[0].shape
+    return tuple(sorted({int(shape[1]), int(shape[3])} - {0}))
 
 
 def _are_scores(rows: Array) -> Array:
