@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import logging
 import subprocess
 import sys
 import tempfile
@@ -67,6 +68,8 @@ def all_cases() -> list[CameraCase]:
 
 def track(run: DegradedRun) -> None:
     """Track one case with the default; rows to PLACE/CHANGE/{online,corrected}/DETECTOR."""
+    # The warnings of hundreds of streams say nothing of the experiment.
+    logging.getLogger("phdtrack").setLevel(logging.ERROR)
     case = run.case
     given = changed(case, run.change)
     write_truth(case, given, run.place / "truth" / run.change / case.sequence)

@@ -10,6 +10,7 @@ detector ran.
 from __future__ import annotations
 
 import csv
+import logging
 import subprocess
 import sys
 import tempfile
@@ -125,6 +126,8 @@ def harness() -> ModuleType:
 
 def scored(job: SceneRun) -> tuple[float, float, float, float]:
     """MOTA and IDF1 of the online rows, then of the corrected tracks."""
+    # The warnings of hundreds of streams say nothing of the experiment.
+    logging.getLogger("phdtrack").setLevel(logging.ERROR)
     module = harness()
     found, truth = module.scene(seed=job.seed, **job.parameters)
     ran = [k for k, detections in enumerate(found) if detections is not None]
