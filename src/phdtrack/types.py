@@ -45,7 +45,7 @@ LAST_FRAME = 10_000_000_000
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
     """The facts about a sequence before its frames are read; ``frames`` is 0 if their number is not
-    known (headers lie).
+    known (headers lie), ``pixel_aspect`` the width of a pixel as displayed, divided by its height.
     """
 
     width: int
@@ -53,6 +53,7 @@ class SequenceInfo:
     fps: float
     frames: int = 0
     name: str = ""
+    pixel_aspect: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -85,6 +85,7 @@ def test_values_of_every_kind_become_json() -> None:
         3: SequenceInfo(1, 2, np.nan),
     }
     info = {"width": 1, "height": 2, "fps": None, "frames": 0, "name": ""}
+    info |= {"pixel_aspect": 1.0}
     assert json_value(value) == {"array": [1.0, None], "truth": True, "tuple": [1, "x"], "3": info}
     assert json_value(value)["truth"] is True
 

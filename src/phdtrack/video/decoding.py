@@ -8,18 +8,18 @@ the size that is needed.
 
 from __future__ import annotations
 
-import math
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
-from itertools import dropwhile, islice
+from itertools import chain, dropwhile, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from phdtrack.clock import Clock, settled
 from phdtrack.errors import InputError, needed
 from phdtrack.types import Frame, Image, SequenceInfo
 from phdtrack.video.image_folder import known_rate
@@ -34,6 +34,14 @@ _FULL_RANGE = 2
 _LARGE = 1920 * 1088
 # Pictures by which the order of packets may differ from the order of presentation, at most.
 _MAX_REORDERED = 32
+# Pictures whose stamps measure the rate of a file.
+_MEASURED = 100
+_MIN_STEPS = 8
+# A stated rate is believed if it is at most this many times the measured one: if the file has an
+# index, and otherwise. Of a rate that varies it is the mean, which may be lower.
+_FASTER = 10.0
+_GUESSED_FASTER = 1.5
+_SLOWER = 20.0
 _CONVERT = "convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)"
 
 
@@ -47,12 +55,17 @@ def file_source(path: str, fps: float, first: int) -> VideoSource:
     first : the first frame that is needed, from 1.
     """
     losses: list[tuple[int, str]] = []
+    measured = 0.0
     with _open(path) as (container, stream):
-        stated = stream.average_rate or stream.guessed_rate or stream.base_rate
+        stated = float(stream.average_rate or 0)
+        guessed = float(stream.guessed_rate or stream.base_rate or 0)
         length = container.duration or 0
         picture = next(_pictures(container, stream, losses), None)
         announced = stream.frames
-        time_base = stream.time_base
+        pixel_aspect = float(stream.sample_aspect_ratio or 1)
+        if picture is not None and not fps:
+            with suppress(*_damage()):
+                measured = _measured_rate(container, stream)
     if picture is None:
         reason = f" ({losses[0][1]})" if losses else ""
         raise InputError(
@@ -60,15 +73,14 @@ def file_source(path: str, fps: float, first: int) -> VideoSource:
             where=path,
             cure=f"The file is empty or damaged: copy it again, or {_CONVERT}.",
         )
-    stamps = _stamps_to(path, first, losses) if first > 1 else []
-    rate, note = known_rate(float(fps or stated or 0), f"{path} does")
-    info = SequenceInfo(*Decoded(picture).size, rate, name=Path(path).stem)
-    zero = math.nan
-    if fps:
-        zero = 0.0
-    elif stamps:
-        zero = float(stamps[0] * time_base)
-    video = _VideoFile(path, fps, stamps)
+    if not measured:
+        stated = stated or guessed
+    rate, note = _rate(path, fps, stated, measured, indexed=bool(announced))
+    decoded = Decoded(picture)
+    if decoded.size != (picture.width, picture.height):
+        pixel_aspect = 1 / pixel_aspect
+    info = SequenceInfo(*decoded.size, rate, 0, Path(path).stem, pixel_aspect)
+    video = _VideoFile(path, fps, rate, note, picture.pts, picture.time or 0.0)
     return VideoSource(
         info,
         video.read,
@@ -76,29 +88,84 @@ def file_source(path: str, fps: float, first: int) -> VideoSource:
         announced=announced or round(length / 1e6 * rate),
         sample=video.sample,
         first=first,
-        zero=zero,
+        zero=0.0,
+        times=video.clock,
+    )
+
+
+def _measured_rate(container: Any, stream: Any) -> float:
+    """Frames per second by the stamps of the next packets; 0 if they say nothing."""
+    stamps = _packet_stamps(container, stream, _MEASURED)
+    known = np.array([stamp for stamp in stamps if stamp is not None], np.float64)
+    steps = np.diff(np.unique(known))
+    if len(steps) < _MIN_STEPS:
+        return 0.0
+    usual = float(np.median(steps))
+    even = steps[steps < 2 * usual]
+    return round(float(1 / (even.mean() * stream.time_base)), 2)
+
+
+def _rate(
+    path: str, fps: float, stated: float, measured: float, *, indexed: bool
+) -> tuple[float, str]:
+    """Frames per second, and a sentence if the file does not state its rate, or a wrong one.
+
+    Parameters
+    ----------
+    path : of the file, for the sentence.
+    fps, stated, measured : as the user, the file and its stamps have it; 0 if unknown.
+    indexed : whether the file knows the number of its frames.
+    """
+    if fps or not measured:
+        return known_rate(float(fps or stated), f"{path} does")
+    most = (_FASTER if indexed else _GUESSED_FASTER) * measured
+    if not stated:
+        return measured, ""
+    if measured / _SLOWER <= stated <= most:
+        return stated, ""
+    return measured, (
+        f"{path} states {stated:g} frames/s, and by its time stamps it has {measured:g}: the time"
+        " stamps are used"
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _VideoFile:
-    """A file that can be decoded. ``stamps`` are those of the first frames, if it can seek."""
+    """A file that can be decoded.
+
+    Attributes
+    ----------
+    path : of the file.
+    fps : frames per second that replace its stamps; 0 for the stamps.
+    rate, note : frames per second that are usual, and a sentence about them.
+    begin, zero : the first picture's stamp, in the stream's unit and in seconds.
+    """
 
     path: str
     fps: float
-    stamps: list[int]
+    rate: float
+    note: str
+    begin: int | None
+    zero: float
 
     def read(self, source: VideoSource) -> Iterator[Read]:
-        """Yield the frames, and report what was lost in ``source.problem``."""
+        """Yield the frames, and report what was lost in ``source.problem``, and which stamps were
+        not believed in ``source.note``.
+        """
         losses: list[tuple[int, str]] = []
-        stamps = self.stamps if source.first > 1 else []
-        before = max(0, len(stamps) - 1)
-        number = before
+        doubted: list[tuple[int, float]] = []
+        stamps: list[int] = []
+        if source.first > 1:
+            stamps = self._stamps_to(source.first)
+        number = before = max(0, len(stamps) - 1)
         with _open(self.path) as (container, stream):
+            unit = stream.time_base
             pictures = _pictures_from(container, stream, stamps, losses, source)
-            for number, picture in enumerate(pictures, start=before + 1):
-                stamp = (number - 1) / self.fps if self.fps else picture.time
-                yield number, stamp, Decoded(picture), f"{self.path}, frame {number}"
+            skipped = ((k, float(stamps[k - 1] * unit), None) for k in range(1, before + 1))
+            shown = ((k, one.time, one) for k, one in enumerate(pictures, start=before + 1))
+            for number, time, picture in self._timed(chain(skipped, shown), doubted):
+                if picture is not None:
+                    yield number, time, Decoded(picture), f"{self.path}, frame {number}"
         if losses:
             after, reason = losses[0]
             source.problem = (
@@ -110,9 +177,64 @@ class _VideoFile:
                 f"{self.path}: ends after frame {number}, but its header announces"
                 f" {stream.frames}; it may be truncated"
             )
+        if doubted:
+            doubts = f"{self.path}: {_doubts(doubted)}"
+            source.note = ". ".join(filter(None, (self.note, doubts)))
+
+    def clock(self) -> Clock:
+        """The times of all frames. Nothing is decoded if the packets have the stamps."""
+        if self.fps:
+            return Clock.constant(self.fps)
+        stamps = self._stamps(None)
+        with _open(self.path) as (container, stream):
+            unit = stream.time_base
+            pairs: Iterator[tuple[int, float | None]] = (
+                (k, float(stamp * unit)) for k, stamp in enumerate(stamps, start=1)
+            )
+            if not stamps:
+                every = _pictures(container, stream, [])
+                pairs = ((k, picture.time) for k, picture in enumerate(every, start=1))
+            reads = ((number, stamp, None) for number, stamp in pairs)
+            found = [(number, time) for number, time, _ in self._timed(reads, [])]
+        return Clock.of([number for number, _ in found], [time for _, time in found], self.rate)
+
+    def _timed(
+        self, reads: Iterable[tuple[int, float | None, Any]], doubted: list[tuple[int, float]]
+    ) -> Iterator[tuple[int, float, Any]]:
+        """The frames with their times in seconds."""
+        if self.fps:
+            return ((number, (number - 1) / self.fps, item) for number, _, item in reads)
+        return settled(reads, 1 / self.rate, doubted)
+
+    def _stamps_to(self, number: int) -> list[int]:
+        """The time stamps of the frames up to ``number``; empty if the file cannot seek there, and
+        must be decoded from its beginning.
+        """
+        stamps = self._stamps(number)
+        if not stamps:
+            return []
+        with _open(self.path) as (container, stream):
+            picture = next(_pictures_from(container, stream, stamps, []), None)
+            if picture is None or picture.pts != stamps[-1]:
+                return []
+        return stamps
+
+    def _stamps(self, count: int | None) -> list[int]:
+        """The time stamps of the first ``count`` frames, or of all, without decoding; empty if they
+        do not identify frames.
+        """
+        stamps: list[int] = []
+        with _open(self.path) as (container, stream), suppress(*_damage()):
+            stamps = _stamps(container, stream, count)
+        if stamps[:1] != [self.begin]:
+            # Pictures before the first one cannot be decoded.
+            return []
+        return stamps
 
     def sample(self, count: int) -> Iterator[Frame]:
-        """Yield ``count`` frames spread over the file; fewer if it cannot seek to so many."""
+        """Yield ``count`` frames spread over the file, which are numbered from 1, at their times;
+        fewer if it cannot seek to so many.
+        """
         with _open(self.path) as (container, stream):
             last = -1.0
             for k in range(count if container.duration else 0):
@@ -123,7 +245,7 @@ class _VideoFile:
                 if picture is None or picture.time is None or picture.time <= last:
                     return
                 last = picture.time
-                yield Frame(k + 1, last, Decoded(picture))
+                yield Frame(k + 1, last - self.zero, Decoded(picture))
 
 
 def endless(path: str) -> bool:
@@ -135,37 +257,50 @@ def endless(path: str) -> bool:
         return not stream.frames and container.duration is None
 
 
-def _stamps_to(path: str, number: int, losses: list[tuple[int, str]]) -> list[int]:
-    """The time stamps of the frames up to ``number``; empty if the file cannot seek there, and must
-    be decoded from its beginning.
-    """
-    with _open(path) as (container, stream):
-        stamps = _stamps(container, stream, number)
-    if not stamps:
-        return []
-    with _open(path) as (container, stream):
-        picture = next(_pictures_from(container, stream, stamps, losses), None)
-        if picture is None or picture.pts != stamps[-1]:
-            return []
-    return stamps
-
-
-def _stamps(container: Any, stream: Any, count: int) -> list[int]:
-    """The time stamps of the first ``count`` pictures in order of presentation, without decoding.
+def _stamps(container: Any, stream: Any, count: int | None) -> list[int]:
+    """The time stamps of the first ``count`` pictures, or of all, in order of presentation, without
+    decoding.
 
     Empty if some packets have none, or if stamps jump back, as in joined recordings: then they do
     not identify frames.
     """
-    packets = (
-        packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard
-    )
-    found = list(islice(packets, count + _MAX_REORDERED))
-    if None in found:
+    more = None
+    if count is not None:
+        more = count + _MAX_REORDERED
+    stamps = _packet_stamps(container, stream, more)
+    found = [stamp for stamp in stamps if stamp is not None]
+    if len(found) < len(stamps) or len(set(found)) < len(found):
         return []
     order = sorted(range(len(found)), key=found.__getitem__)
     if any(abs(place - number) > _MAX_REORDERED for place, number in enumerate(order)):
         return []
     return [found[number] for number in order[:count]]
+
+
+def _packet_stamps(container: Any, stream: Any, count: int | None) -> list[int | None]:
+    """The time stamps of the next ``count`` packets with pictures, or of all; None without one."""
+    packets = (
+        packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard
+    )
+    return list(islice(packets, count))
+
+
+def _damage() -> tuple[type[Exception], ...]:
+    """The errors of packets that cannot be read, and of streams that begin later."""
+    return needed("av").FFmpegError, IndexError
+
+
+def _doubts(doubted: list[tuple[int, float]]) -> str:
+    """A sentence about stamps that cannot be right."""
+    number, stamp = doubted[0]
+    if len(doubted) == 1:
+        frames = "1 frame has a time stamp"
+    else:
+        frames = f"{len(doubted)} frames have time stamps"
+    return (
+        f"{frames} that cannot be right, repeated or out of order (frame {number}: {stamp:.3f} s);"
+        " their times are taken from the frames around them"
+    )
 
 
 def _pictures_from(

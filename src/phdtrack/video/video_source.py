@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+from phdtrack.clock import Clock
 from phdtrack.devices import Picture, size_of
 from phdtrack.errors import InputError
 from phdtrack.types import Frame, Image, SequenceInfo
@@ -28,8 +29,8 @@ class VideoSource:
     ----------
     info : displayed size in pixels, rate, name; ``frames`` is 0 if only decoding tells.
     read : yields the frames of this source, and sets its ``problem``.
-    note : what was assumed because it is unknown (the rate of a folder of images); empty if
-        nothing was.
+    note : what was assumed because it is unknown (the rate of a folder of images), and after the
+        iteration, which time stamps were not believed; empty if nothing was.
     problem : after the iteration: why the frames ended early, or which were lost; empty if all were
         read.
     share : how much of the file has been read, from 0 to 1; 0 if unknown.
@@ -39,6 +40,7 @@ class VideoSource:
     first, last : the frames that are yielded; 0: up to the end. Their numbers and times are those
         in the whole sequence.
     zero : the stamp whose time is 0; NaN: that of the first frame.
+    times : returns the clock of the whole sequence; None for a constant rate.
     """
 
     info: SequenceInfo
@@ -51,6 +53,13 @@ class VideoSource:
     first: int = 1
     last: int = 0
     zero: float = math.nan
+    times: Callable[[], Clock] | None = None
+
+    def clock(self) -> Clock:
+        """The times of all frames, of which a file's are read without decoding if possible."""
+        if self.times is None:
+            return Clock.constant(self.info.fps)
+        return self.times()
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames. Raises `InputError` for a picture of another size than the first; empty
