@@ -629,6 +629,7 @@ class Camera:
             step.detections,
             mass=step.info.mass,
             clutter_probability=probability,
+            time=frame.time,
         )
         with self._fresh:
             boxes = np.vstack([rows.xyxy, step.detections.xyxy])

@@ -10,6 +10,7 @@ frame's number, the number of tracks, and the filter's expected count.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from itertools import pairwise
 
@@ -33,11 +34,11 @@ _TRACKED_IOU = 0.5
 _FADING = 8
 _POINTS = 19
 _DEFAULT_FPS = 25.0
+_ROUNDING = 1e-6
 
 
 class Annotator:
-    """Draws frame after frame, and keeps the trails, which reach ``trail_seconds`` back at the rate
-    of ``info``.
+    """Draws frame after frame, and keeps the trails, which reach ``trail_seconds`` back.
 
     Labels include the class if there are ``names``. ``blur`` (`arrays.pixelated`) hides the content
     of all boxes first.
@@ -51,8 +52,11 @@ class Annotator:
         names: Mapping[int, str] | None = None,
         blur: str = "",
     ) -> None:
-        fps = info.fps if info.fps > 0 else _DEFAULT_FPS
-        self._length = max(2, round(trail_seconds * fps))
+        self._fps = info.fps if info.fps > 0 else _DEFAULT_FPS
+        # At least from one frame to the next.
+        self._seconds = max(trail_seconds, 1.5 / self._fps)
+        # Number and time of the frames that trails reach back to.
+        self._times = deque[tuple[int, float]]()
         self._blur = blur
         self._past = Tracks.empty()
         self._names = names
@@ -67,6 +71,7 @@ class Annotator:
         *,
         mass: float = math.nan,
         clutter_probability: F8 = _UNKNOWN,
+        time: float = math.nan,
     ) -> Image:
         """The frame with everything drawn on it, a new picture; planes are drawn on in place.
 
@@ -78,6 +83,7 @@ class Annotator:
         detections : the boxes of this frame.
         mass : the filter's expected count; not in the header unless finite.
         clutter_probability : (N,) for the detections, or (0,) if unknown.
+        time : of the frame in seconds; NaN: by its number and the rate of ``info``.
 
         Raises
         ------
@@ -110,7 +116,7 @@ class Annotator:
         # From the top of the frame downwards, because lower objects are usually nearer.
         rows = rows.select(np.argsort(rows.xyxy[:, 3], kind="stable"))
         confirmed = rows.select(rows.confirmed)
-        self._trails(number, confirmed)
+        self._trails(self._oldest(number, time), confirmed)
         for k in np.flatnonzero(~rows.confirmed):
             colour = identity_colour(int(rows.identity[k]))
             canvas.boxes(rows.xyxy[k : k + 1], colour, canvas.line, _TENTATIVE_OPACITY)
@@ -131,12 +137,23 @@ class Annotator:
         words = [self._names.get(label, str(label)) for label in rows.class_id.tolist()]
         return [f"{word} {label}" for word, label in zip(words, labels, strict=True)]
 
-    def _trails(self, number: int, rows: Tracks) -> None:
-        """Draw a line through the past and present feet of each identity, fading towards the
-        oldest.
+    def _oldest(self, number: int, time: float) -> int:
+        """The first frame to which the trails of a frame reach back."""
+        if math.isnan(time):
+            time = number / self._fps
+        times = self._times
+        times.append((number, time))
+        # Rounding of times must not make trails longer in some frames.
+        while len(times) > 1 and times[0][1] <= time - self._seconds + _ROUNDING:
+            times.popleft()
+        return times[0][0]
+
+    def _trails(self, oldest: int, rows: Tracks) -> None:
+        """Draw a line through the past and present feet of each identity since the frame
+        ``oldest``, fading towards that.
         """
         past = Tracks.concatenate([self._past, rows])
-        past = past.select(past.frame > number - self._length)
+        past = past.select(past.frame >= oldest)
         self._past = past
         order = np.argsort(past.identity, kind="stable")
         identities, starts = np.unique(past.identity[order], return_index=True)
@@ -147,7 +164,7 @@ class Annotator:
         by_opacity = dict[float, list[NDArray[np.int32]]]()
         for identity, start, end in zip(identities.tolist(), starts.tolist(), ends, strict=False):
             # A subset of the points suffices; it is the same in each frame, plus the newest one.
-            kept = frames[start:end] % max(1, self._length // _POINTS) == 0
+            kept = frames[start:end] % max(1, len(self._times) // _POINTS) == 0
             kept[-1] = True
             trail = places[start:end][kept]
             trail = trail[np.isfinite(trail).all(axis=1)]

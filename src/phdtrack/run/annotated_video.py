@@ -74,6 +74,7 @@ class _Drawing:
             rows,
             replace(detections, xyxy=detections.xyxy * self._factor),
             mass=summary.mass,
+            time=summary.time,
             clutter_probability=summary.clutter_probability,
         )
 
@@ -88,7 +89,9 @@ class LiveVideo:
         self._delay = run.options.delay
         self._waiting = deque[tuple[Frame, FrameSummary]]()
         self._video = VideoWriter(
-            run.directory.file(rundir.VIDEO), *self._draw.size, run.inputs.info.fps, fast=True
+            *(run.directory.file(rundir.VIDEO), *self._draw.size, run.inputs.info.fps),
+            fast=True,
+            pixel_aspect=run.inputs.info.pixel_aspect,
         )
 
     def take(self, tracked: TrackedFrame) -> None:
@@ -154,12 +157,16 @@ def _annotated_video(
     """
     drawing = _Drawing(run, run.options.video_size if alone else 0, planes=alone)
     path = run.directory.file(rundir.VIDEO)
-    video = files.enter_context(VideoWriter(path, *drawing.size, run.inputs.info.fps, fast=True))
+    fps = run.inputs.info.fps
+    aspect = run.inputs.info.pixel_aspect
+    video = files.enter_context(
+        VideoWriter(path, *drawing.size, fps, fast=True, pixel_aspect=aspect)
+    )
     frames = files.enter_context(ahead(run.inputs.source, 1))
     images = files.enter_context(ahead(_annotated(drawing, progress.summaries, frames, tracks), 1))
 
-    def write(number: int, picture: Image) -> None:
-        video.write(picture)
+    def write(number: int, time: float, picture: Image) -> None:
+        video.write(picture, time)
 
     return images, write
 
@@ -188,7 +195,7 @@ def _draw_all(
         ):
             number = summary.number
             for one in draw:
-                one(number, image)
+                one(number, summary.time, image)
             advance(count, total=progress.frames, description="drawing")
             # Without the first one, for which kernels are loaded.
             if count == 1:

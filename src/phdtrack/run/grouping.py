@@ -246,7 +246,8 @@ class GroupObserver(RunObserver):
         height = _HEIGHT
         if pictures:
             height = max(self._info.height, _MIN_HEIGHT)
-            left = 2 * round(self._info.width * height / self._info.height / 2)
+            wide = self._info.width * self._info.pixel_aspect
+            left = 2 * round(wide * height / self._info.height / 2)
         plan = self._plan(height + height % 2)
         scenes = {scene.frame.number: scene for scene in self._scenes}
         file = directory.file(rundir.PLAN)
@@ -254,7 +255,7 @@ class GroupObserver(RunObserver):
             VideoWriter(file, left + plan.width, plan.height, self._info.fps)
         )
 
-        def draw(number: int, picture: Image) -> None:
+        def draw(number: int, time: float, picture: Image) -> None:
             scene = scenes.get(number)
             if scene is None:
                 drawn = plan.ground
@@ -266,7 +267,7 @@ class GroupObserver(RunObserver):
                 else:
                     shown = self._with_contours(picture, scene.frame)
                 drawn = np.hstack([cv2.resize(shown, (left, plan.height)), drawn])
-            video.write(drawn)
+            video.write(drawn, time)
 
         return draw
 

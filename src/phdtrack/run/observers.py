@@ -13,8 +13,10 @@ from phdtrack.run.directory import RunDirectory
 from phdtrack.run.loop import TrackedFrame
 from phdtrack.types import Image, Tracks
 
-Draw = Callable[[int, Image], None]
-"""Draws a frame, by its number and its annotated picture, which is empty if the run has none."""
+Draw = Callable[[int, float, Image], None]
+"""Draws a frame, by its number, its time in seconds, and its annotated picture, which is empty if
+the run has none.
+"""
 
 
 class Report(NamedTuple):

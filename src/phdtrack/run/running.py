@@ -110,6 +110,7 @@ class FrameSummary(NamedTuple):
     """The part of a frame that drawing and the report need."""
 
     number: int
+    time: float
     detections: Detections
     mass: float
     clutter_probability: F8
@@ -119,7 +120,7 @@ class FrameSummary(NamedTuple):
         """The summary of a tracked frame."""
         step = tracked.step
         info = step.info
-        return cls(step.number, step.detections, info.mass, info.clutter_probability)
+        return cls(step.number, step.time, step.detections, info.mass, info.clutter_probability)
 
 
 @dataclass(slots=True)

@@ -26,6 +26,13 @@ ENCODERS = [
     "h264_v4l2m2m",
 ]
 _LARGEST_DENOMINATOR = 1001
+_LARGEST_ASPECT = 255
+# Seconds between two pictures at a constant rate, at most.
+_SLOWEST = Fraction(1_000_000)
+# The least number of ticks in a second by which times are rounded.
+_TICKS_PER_SECOND = 50_000
+# Ticks between two pictures at most: mp4 has 31 bits for a few of them.
+_MOST_TICKS = 2**29
 # x264's output depends on the number of threads, so it is the same on every machine, with one frame
 # per thread. Macroblock-tree rate control (mbtree) is off because it makes output unrepeatable.
 _THREADS = 4
@@ -36,7 +43,8 @@ _LARGE = 1920 * 1088
 
 
 class VideoWriter:
-    """Writes BGR images at a constant rate; close it, or use it in a ``with`` statement.
+    """Writes BGR images, at a constant rate or at their own times; close it, or use it in a
+    ``with`` statement.
 
     The file gets its name when it is closed. Before, and if an error leaves the ``with`` block, its
     name ends in ``.part``.
@@ -50,6 +58,7 @@ class VideoWriter:
     quality : constant rate factor from 0 (lossless) to 51, if the encoder has one; 23 is usual.
     fast : x264 takes less than half the time and a quarter of the memory, but files are two to
         three times as large.
+    pixel_aspect : width of a pixel as it is displayed, divided by its height.
     fragmented : the file has its name at once, and can be played even if it is never closed, except
         for the last seconds.
 
@@ -68,6 +77,7 @@ class VideoWriter:
         quality: int = 23,
         fast: bool = False,
         fragmented: bool = False,
+        pixel_aspect: float = 1.0,
     ) -> None:
         if width < 1 or height < 1 or not fps > 0 or not np.isfinite(fps):
             raise InputError(
@@ -79,8 +89,11 @@ class VideoWriter:
         self._width = width
         self._height = height
         self._file = self._path if fragmented else part_of(self._path)
-        rate = Fraction(fps).limit_denominator(_LARGEST_DENOMINATOR)
+        rate = _as_fraction(fps)
         padded = (width + width % 2, height + height % 2)
+        # A picture takes so many ticks of the clock at a constant rate. Times are rounded to ticks.
+        self._ticks = min(math.ceil(_TICKS_PER_SECOND / rate), _MOST_TICKS)
+        self._per_second = float(rate * self._ticks)
         name = _working_encoder(*padded, rate)
         options = dict[str, str]()
         if name == "libx264":
@@ -98,13 +111,18 @@ class VideoWriter:
             self._stream: Any = self._container.add_stream(name, rate=rate, options=options)
             self._stream.width, self._stream.height = padded
             self._stream.pix_fmt = "yuv420p"
+            self._stream.codec_context.time_base = 1 / (rate * self._ticks)
+            aspect = Fraction(pixel_aspect).limit_denominator(_LARGEST_ASPECT)
+            if aspect != 1:
+                self._stream.codec_context.sample_aspect_ratio = aspect
             self._container.start_encoding()
         except (av.FFmpegError, OSError) as error:
             raise cannot_write(path, error) from None
         # Frames written so far.
         self.frames = 0
-        self._stamp = -1
-        self._fps = float(rate)
+        # Ticks since the first picture, and the time of that one.
+        self._stamp = -self._ticks
+        self._begin = math.nan
         self._open = True
 
     def write(self, image: Image, at: float = math.nan) -> None:
@@ -115,7 +133,7 @@ class VideoWriter:
         image : (height, width, 3) BGR uint8, or `Decoded.planes` as (3H/2, W). Raises `InputError`
             for anything else.
         at : its time in seconds, for a video with the times of its pictures instead of a constant
-            rate.
+            rate. The first picture is shown at the beginning, whatever its time.
         """
         av = needed("av")
         planes = image.shape == (self._height * 3 // 2, self._width)
@@ -134,14 +152,25 @@ class VideoWriter:
         if any(odd) and not planes:
             padded = np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge")
         picture = av.VideoFrame.from_numpy_buffer(padded, format="yuv420p" if planes else "bgr24")
-        self._stamp += 1
-        if not math.isnan(at):
-            self._stamp = max(self._stamp, round(at * self._fps))
+        self._stamp = self._next_stamp(at)
         picture.pts = self._stamp
-        picture.time_base = 1 / self._stream.codec_context.framerate
+        picture.time_base = self._stream.codec_context.time_base
         with self._checked():
             self._container.mux(self._stream.encode(picture))
         self.frames += 1
+
+    def _next_stamp(self, at: float) -> int:
+        """The ticks of a picture at a time, or at the next one of a constant rate if it is NaN."""
+        if math.isnan(at):
+            return self._stamp + self._ticks
+        if math.isnan(self._begin):
+            self._begin = at - (self._stamp + self._ticks) / self._per_second
+        due = max(self._stamp + 1, round((at - self._begin) * self._per_second))
+        if due > self._stamp + _MOST_TICKS:
+            # A pause of many hours is shortened to what the format can express.
+            due = self._stamp + _MOST_TICKS
+            self._begin = at - due / self._per_second
+        return due
 
     def close(self, *, complete: bool = True) -> None:
         """Finish the file; a second call does nothing. Unless ``complete``, it keeps its temporary
@@ -171,6 +200,13 @@ class VideoWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.close(complete=kind is None)
+
+
+def _as_fraction(fps: float) -> Fraction:
+    """A rate above 0 as a fraction with small numbers, such as 30000/1001, or 1/3600."""
+    if fps >= 1:
+        return Fraction(fps).limit_denominator(_LARGEST_DENOMINATOR)
+    return 1 / min(Fraction(1 / fps).limit_denominator(_LARGEST_DENOMINATOR), _SLOWEST)
 
 
 def _x264_options(width: int, height: int, quality: int, fast: bool) -> dict[str, str]:
