@@ -17,8 +17,10 @@ from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.track import command_line, run_and_print
+from phdtrack.clock import Clock
 from phdtrack.errors import InputError, shown
 from phdtrack.files import read_toml, write_text
+from phdtrack.formats import read_detections
 from phdtrack.live.counting import HEAD, CountObserver
 from phdtrack.live.events import Watch
 from phdtrack.live.zones import Place, places_of
@@ -135,12 +137,15 @@ def _count_known(
     """Count among the tracks of a run or of a file."""
     known = rundir.read_run_tracks(path)
     address = source.source or known.source
-    pictures = _pictures(address, source)
+    pictures = _pictures(address, source, known.info.fps)
     info = _sequence(known, pictures, source, path)
     directory = _counts_directory(path, source, to)
     observer = CountObserver(
-        replace(watch, names=known.names), info, pictures, to.blur, known.first
+        *(replace(watch, names=known.names), info, pictures, to.blur, known.first),
+        clock=_clock(path, info, pictures, source),
     )
+    if to.blur and rundir.is_run(path):
+        _hide_detections(observer, path / rundir.DETECTIONS)
     observer.finish(directory, known.tracks)
     report = observer.report()
     frames = info.frames - known.first + 1
@@ -182,13 +187,41 @@ def _refuse_tracking(source: SourceRequest, options: TrackingRequest, path: Path
     )
 
 
-def _pictures(address: str, source: SourceRequest) -> VideoSource | None:
-    """The video that the tracks are of; None if there is none."""
+def _pictures(address: str, source: SourceRequest, fps: float) -> VideoSource | None:
+    """The video that the tracks are of; None if there is none.
+
+    Parameters
+    ----------
+    address, source : the video, and what was asked for.
+    fps : frames per second of the tracks; 0 if unknown. Images have no other.
+    """
     if not address or not readable_again(address):
         return None
     if not source.source and not Path(address).exists():
         return None
-    return open_source(address, fps=source.fps)
+    video = open_source(address, fps=source.fps)
+    if fps and not source.fps and video.times is None:
+        return open_source(address, fps=fps)
+    return video
+
+
+def _hide_detections(observer: CountObserver, file: Path) -> None:
+    """Hide the detections of a run in pictures, too, if they are there."""
+    if file.exists() and file.stat().st_size:
+        table = read_detections(file)
+        for number in np.unique(table.frame).tolist():
+            observer.hide(number, table.at(number).xyxy)
+
+
+def _clock(
+    path: Path, info: SequenceInfo, video: VideoSource | None, source: SourceRequest
+) -> Clock:
+    """The times of the frames: those of the run, or of the video."""
+    if not source.fps and rundir.is_run(path):
+        return rundir.run_clock(path, info.fps, None if video is None else video.clock())
+    if video is not None:
+        return video.clock()
+    return Clock.constant(info.fps)
 
 
 def _sequence(

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from phdtrack.arrays import pixelated
+from phdtrack.clock import Clock
 from phdtrack.files import whole
 from phdtrack.formats.write import Lines
 from phdtrack.live.events import Event, Tally, Watch, place_events, tallies
@@ -28,7 +29,7 @@ from phdtrack.run.directory import RunDirectory
 from phdtrack.run.loop import NO_PICTURE, TrackedFrame
 from phdtrack.run.observers import Report, RunObserver
 from phdtrack.run.reporter import SILENT, Reporter
-from phdtrack.types import Detections, Image, SequenceInfo, Tracks
+from phdtrack.types import F8, Detections, Frame, Image, SequenceInfo, Tracks
 from phdtrack.video import VideoSource, VideoWriter
 
 HEAD = ("place", "class", "in", "out", "inside", "most", "mean", "seconds", "longest")
@@ -40,6 +41,7 @@ _ZONE_COLOUR = (255, 160, 77)
 _IN = (126, 194, 46)
 _OUT = (28, 159, 255)
 _DARK = (30, 30, 30)
+_NO_BOXES: F8 = np.zeros((0, 4))
 
 
 class CountObserver(RunObserver):
@@ -52,12 +54,19 @@ class CountObserver(RunObserver):
     video : pictures to draw on; None if there are none.
     blur : ``boxes`` or ``faces`` to pixelate them in pictures.
     first : the first frame.
+    clock : the times of the frames; None: those of the frames that it takes in.
     """
 
     all_tracks = True
 
     def __init__(
-        self, watch: Watch, info: SequenceInfo, video: VideoSource | None, blur: str, first: int = 1
+        self,
+        watch: Watch,
+        info: SequenceInfo,
+        video: VideoSource | None,
+        blur: str,
+        first: int = 1,
+        clock: Clock | None = None,
     ) -> None:
         self._watch = watch
         self._info = info
@@ -65,25 +74,39 @@ class CountObserver(RunObserver):
         self._blur = blur
         self._first = first
         self._last = info.frames
+        self._clock = clock or Clock.constant(info.fps)
+        self._timed = None if clock else list[tuple[int, float]]()
         self._tracks = Tracks.empty()
         self._events = list[Event]()
         self._tallies = list[Tally]()
         self._picture = NO_PICTURE
+        # Boxes of detections by frame, which are to be hidden whether or not a track uses them.
+        self._hidden = dict[int, F8]()
         self.finished = False
 
     def take(self, tracked: TrackedFrame) -> None:
-        """Remember how far it got."""
+        """Remember how far it got, and when."""
         self._last = tracked.step.number
+        if self._timed is not None:
+            self._timed.append((self._last, tracked.step.time))
+        self.hide(self._last, tracked.detected.detections.xyxy)
+
+    def hide(self, number: int, xyxy: F8) -> None:
+        """Hide boxes (n, 4) of a frame in pictures, besides those of tracks, if any are hidden."""
+        if self._blur and self._video is not None and len(xyxy):
+            self._hidden[number] = xyxy
 
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
         """Count, and write the events and the picture."""
         self._tracks = tracks
         self.finished = True
-        fps = self._info.fps
-        self._events = place_events(self._watch, tracks, self._last, fps)
-        self._tallies = tallies(
-            self._watch, self._events, (self._first - 1) / fps, max(self._last - 1, 0) / fps
-        )
+        if self._timed:
+            frames = [number for number, _ in self._timed]
+            self._clock = Clock.of(frames, [time for _, time in self._timed], self._info.fps)
+        self._events = place_events(self._watch, tracks, self._last, self._clock)
+        begin = self._clock.time(self._first)
+        end = self._clock.time(max(self._first, self._last))
+        self._tallies = tallies(self._watch, self._events, begin, end)
         with Lines(directory.file(rundir.COUNTS)) as file:
             file.write(_HEADER)
             file.write(
@@ -136,7 +159,11 @@ class CountObserver(RunObserver):
         annotate = Annotator(info, names=self._watch.names or None, blur=self._blur)
         path = directory.file(rundir.COUNTS_VIDEO)
         with (
-            VideoWriter(path, info.width, info.height, info.fps, fast=True) as video,
+            VideoWriter(
+                *(path, info.width, info.height, info.fps),
+                fast=True,
+                pixel_aspect=info.pixel_aspect,
+            ) as video,
             reporter.progress("drawing", self._last) as advance,
         ):
             for frame in replace(self._video, first=self._first):
@@ -147,8 +174,10 @@ class CountObserver(RunObserver):
                 rows = self._tracks.select(np.arange(begin, end))
                 while done < len(self._events) and self._events[done].number <= number:
                     done += 1
-                image = annotate(frame.image, number, rows, Detections.empty())
-                video.write(drawn(image, self._watch.places, self._events[:done]))
+                image = pixelated(frame.image, self._boxes(number), self._blur)
+                image = annotate(image, number, rows, Detections.empty(), time=frame.time)
+                picture = drawn(image, self._watch.places, self._events[:done])
+                video.write(picture, frame.time)
                 advance(number)
 
     def _cells(self, event: Event) -> tuple[Any, ...]:
@@ -170,6 +199,20 @@ class CountObserver(RunObserver):
             event.y,
         )
 
+    def _boxes(self, number: int) -> F8:
+        """(n, 4) the boxes of detections that are hidden in a frame."""
+        return self._hidden.get(number, _NO_BOXES)
+
+    def _middle(self, video: VideoSource) -> Frame:
+        """The frame in the middle of what was counted, or the first one if it is missing."""
+        clock = self._clock
+        begin = clock.time(self._first)
+        end = clock.time(max(self._first, self._last))
+        for number in (clock.frame_at((begin + end) / 2), self._first):
+            for frame in replace(video, first=number, last=number):
+                return frame
+        return next(iter(replace(video, first=1, last=0)))
+
     def _still(self) -> Image:
         """A picture from the middle of the video, or dark ground, with all places and figures."""
         width = self._info.width
@@ -177,13 +220,10 @@ class CountObserver(RunObserver):
         image = NO_PICTURE
         near = self._tracks
         if self._video is not None:
-            middle = None
-            if self._first == 1:
-                middle = next(iter(self._video.sample(1)), None)
-            middle = middle or next(iter(replace(self._video, first=self._first)))
-            image = middle.image
-            at = round(middle.time * self._info.fps) + 1
-            near = near.select(np.abs(near.frame - at) <= 2)
+            frame = self._middle(self._video)
+            image = frame.image
+            near = near.select(np.abs(near.frame - frame.number) <= 2)
+            image = pixelated(image, self._boxes(frame.number), self._blur)
         elif width and height:
             image = np.full((height, width, 3), 46, np.uint8)
         if image.size:

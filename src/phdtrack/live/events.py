@@ -18,6 +18,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from phdtrack.clock import Clock, as_clock
 from phdtrack.errors import Checked, NonNegative, Positive
 from phdtrack.groups.life_cycle import Event as GroupEvent
 from phdtrack.live.zones import Place, Point
@@ -318,7 +319,7 @@ class _Frame:
         self.add("exit", visitor, place, seconds=stay, occupancy=self.counts[k].occupancy)
 
 
-def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Event]:
+def place_events(watch: Watch, tracks: Tracks, last: int, fps: float | Clock) -> list[Event]:
     """The events at lines and zones (cross, enter, exit, dwell) of a sequence whose tracks are
     complete, in order.
 
@@ -330,23 +331,22 @@ def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Ev
     watch : the places.
     tracks : sorted by frame.
     last : number of the last frame of the sequence.
-    fps : frames per second.
+    fps : frames per second, or the times of the frames.
     """
+    clock = as_clock(fps)
     state = watch.start()
     since = dict[tuple[int, str], float]()
     found = list[Event]()
-    for number in _walked(
-        np.unique(tracks.frame).tolist(), last, math.ceil(watch.leave_after * fps) + 1
-    ):
+    for number in _walked(np.unique(tracks.frame).tolist(), last, watch.leave_after, clock):
         rows = tracks.select(np.arange(*np.searchsorted(tracks.frame, [number, number + 1])))
-        state, events = watch.advance(state, rows, number, (number - 1) / fps)
+        state, events = watch.advance(state, rows, number, clock.time(number))
         for event in events:
             visit = event.identity, event.place
             if event.kind == "enter":
                 since[visit] = event.time
             elif event.kind == "exit":
                 time = since.pop(visit) + event.seconds
-                event = replace(event, time=time, number=round(time * fps) + 1)
+                event = replace(event, time=time, number=clock.frame_at(time))
             if event.place and (number <= last or event.number < last):
                 found.append(event)
     inside = dict.fromkeys((place.name for place in watch.places if place.closed), 0)
@@ -358,16 +358,21 @@ def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Ev
     return [replace(event, index=k) for k, event in enumerate(found)]
 
 
-def _walked(frames: Sequence[int], last: int, patience: int) -> Iterator[int]:
+def _walked(frames: Sequence[int], last: int, patience: float, clock: Clock) -> Iterator[int]:
     """The frames up to the last one, and the empty frames between and after them in which a track
-    may leave.
+    may leave, after ``patience`` seconds.
     """
     before = 0
-    for number in (*(frame for frame in frames if frame < last), last, last + patience + 1):
-        yield from range(before + 1, min(before + patience + 1, number))
+    for number in (*(frame for frame in frames if frame < last), last):
+        yield from range(before + 1, min(_left_by(before, patience, clock) + 1, number))
+        yield number
         before = number
-        if number <= last:
-            yield number
+    yield from range(last + 1, _left_by(last, patience, clock) + 1)
+
+
+def _left_by(number: int, patience: float, clock: Clock) -> int:
+    """A frame more than ``patience`` seconds after frame ``number``."""
+    return clock.frame_at(clock.time(number) + patience) + 2
 
 
 class Tally(NamedTuple):

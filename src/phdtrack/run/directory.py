@@ -16,6 +16,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
+import numpy as np
+
+from phdtrack.clock import Clock
 from phdtrack.errors import InputError, needed
 from phdtrack.files import load, part_of, read_json
 from phdtrack.formats import find_seqinfo, read_tracks_named
@@ -69,6 +72,10 @@ RUN_FILES = {
     REPORT: "the run in pictures and numbers",
     RUN: "settings and statistics (JSON)",
 }
+
+
+# Seconds by which the times of states may be rounded.
+_SAME_TIME = 1e-4
 
 
 class RunTracks(NamedTuple):
@@ -126,6 +133,42 @@ def read_run_tracks(path: Path) -> RunTracks:
                 f"expected the run.json of a run, and it has no {error}", where=run
             ) from None
     return RunTracks(tracks, names, info, source, first)
+
+
+def run_clock(folder: Path, fps: float, video: Clock | None = None) -> Clock:
+    """The times of a run's frames: those of its states, and of the video between them.
+
+    Parameters
+    ----------
+    folder : of the run.
+    fps : frames per second where the states say nothing, or if there are none.
+    video : the times of the video. If it has other times than the states, as after ``--fps``, or if
+        it is None, times between states are interpolated.
+
+    Raises
+    ------
+    InputError : the states cannot be read.
+    """
+    file = folder / STATES
+    # The first frame may be without states; its time is 0, whatever part of a video was tracked.
+    known = {1: 0.0}
+    row = 1
+    try:
+        with file.open(encoding="utf-8") as lines:
+            for row, line in enumerate(lines, start=1):
+                if row > 1:
+                    number, time, _ = line.split(",", 2)
+                    known[int(number)] = float(time)
+    except FileNotFoundError:
+        return video or Clock.constant(fps)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"expected the states of a run, and line {row} cannot be read ({error})", where=file
+        ) from None
+    clock = Clock.of([*known], [*known.values()], fps)
+    if video is not None and np.abs(video.times(clock.frame) - clock.seconds).max() < _SAME_TIME:
+        return video
+    return clock
 
 
 class _Lock:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -275,6 +275,8 @@ def _frames(request: SourceRequest, part: FrameRange) -> VideoSource:
     """The video. Raises `InputError` if the request names another frame size than its own."""
     if readable_again(request.source):
         source = open_source(request.source, fps=request.fps, first=part[0], last=part[1])
+        if source.times is None and not request.fps:
+            source = _at_stated_rate(source, request.source)
     else:
         source = open_camera(request.source)
     size = (source.info.width, source.info.height)
@@ -284,6 +286,15 @@ def _frames(request: SourceRequest, part: FrameRange) -> VideoSource:
         cure = "Leave it out: it is for detections without a video."
         raise InputError(problem, where="--frame-size", cure=cure)
     return source
+
+
+def _at_stated_rate(images: VideoSource, path: str) -> VideoSource:
+    """Images at the rate that a seqinfo.ini beside them states, if there is one."""
+    with suppress(InputError):
+        info = find_seqinfo(path)
+        if info is not None:
+            return open_source(path, fps=info.fps, first=images.first, last=images.last)
+    return images
 
 
 def _detector(request: SourceRequest, parameters: Mapping[str, Any], max_width: int) -> Detector:

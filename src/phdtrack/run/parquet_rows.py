@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
+from phdtrack.clock import Clock
 from phdtrack.errors import needed
 from phdtrack.files import whole
 from phdtrack.run import directory as rundir
@@ -15,16 +14,17 @@ _BOX = ("left", "top", "width", "height", "confidence", "x", "y")
 _COLUMNS = ("frame", "identity", *_BOX, "z", "detection", "confirmed", "class")
 
 
-def write_rows(name: str, folder: Path, file: Path, fps: float) -> None:
+def write_rows(name: str, folder: Path, file: Path, fps: float, video: Clock | None = None) -> None:
     """Write the tracks of a run with the video's name: ``video``, ``frame`` from 1, ``time`` in
     seconds since the first frame, and what tracks.csv has. The time is that of the frame's states;
-    for a frame without any it is interpolated.
+    for a frame without any it is that of the video, or interpolated.
 
     Parameters
     ----------
     name : of the video.
     folder, file : of the run, and the Parquet file to write.
-    fps : frames per second.
+    fps : frames per second where the states say nothing.
+    video : the times of the video, if they are known.
     """
     arrow, csv, parquet = (needed(f"pyarrow{part}") for part in ("", ".csv", ".parquet"))
     special = {
@@ -41,18 +41,12 @@ def write_rows(name: str, folder: Path, file: Path, fps: float) -> None:
         reading = csv.ReadOptions(column_names=list(_COLUMNS[:width]))
         converting = csv.ConvertOptions(column_types=types)
         table = csv.read_csv(tracks, read_options=reading, convert_options=converting)
-    only = csv.ConvertOptions(
-        include_columns=["frame", "time"], column_types=types | {"time": arrow.float64()}
-    )
-    states = csv.read_csv(folder / rundir.STATES, convert_options=only)
-    frames, index = np.unique(np.append(states["frame"].to_numpy(), 1), return_index=True)
     number = table["frame"].to_numpy()
     nowhere = table["z"].to_numpy() != 0
-    time = np.interp(number, frames, np.append(states["time"].to_numpy(), 0.0)[index])
     columns = {
         "video": arrow.array([name] * len(number), arrow.string()),
         "frame": table["frame"],
-        "time": time + np.maximum(number - frames[-1], 0) / fps,
+        "time": rundir.run_clock(folder, fps, video).times(number),
     }
     columns |= {column: table[column] for column in table.column_names}
     columns |= {

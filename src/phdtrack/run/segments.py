@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.arrays import iou
+from phdtrack.clock import Clock
 from phdtrack.files import load, read_json
 from phdtrack.formats.write import Lines
 from phdtrack.metrics.matching import above, assign
@@ -28,6 +29,9 @@ from phdtrack.types import F8, I8
 # have in common.
 _SAME = 0.5
 _SHARE = 0.5
+# Rounding of times must not move a border by a frame.
+_ROUNDING = 1e-6
+_EACH_A_SECOND = Clock.constant(1.0)
 # Parts of the first segment's run.json that hold for the video.
 _KEPT = ("title", "versions", "seed", "source", "configuration")
 
@@ -42,20 +46,26 @@ class Segment(NamedTuple):
     begin: int
 
 
-def cut(frames: int, length: float, overlap: float) -> list[Segment]:
-    """The segments of a video, of equal length as far as possible.
+def cut(frames: int, length: float, overlap: float, clock: Clock = _EACH_A_SECOND) -> list[Segment]:
+    """The segments of a video, of equal duration as far as possible.
 
     Parameters
     ----------
     frames : of the video.
-    length, overlap : about how many frames a segment has, and two have in common.
+    length, overlap : about how many seconds a segment has, and two have in common.
+    clock : the times of the frames; without it, a frame is a second.
     """
-    count = max(1, round(frames / length))
-    half = math.ceil(overlap / 2)
-    begins = [1 + k * frames // count for k in range(count)]
-    ends = [begin - 1 + half for begin in begins[1:]] + [0]
+    seconds = clock.passed(range(1, frames + 1))
+    count = max(1, round(seconds / length))
+    zero = clock.time(1)
+    numbers = [clock.number_at(zero + k * seconds / count) for k in range(count)]
+    begins = [math.floor(number + _ROUNDING) for number in numbers]
+    starts = [clock.number_at(clock.time(begin) - overlap / 2) for begin in begins]
+    stops = [clock.number_at(clock.time(begin) + overlap / 2) for begin in begins[1:]]
+    ends = [math.ceil(stop - _ROUNDING) - 1 for stop in stops] + [0]
     return [
-        Segment(max(1, begin - half), end, begin) for begin, end in zip(begins, ends, strict=True)
+        Segment(max(1, math.floor(start + _ROUNDING)), end, begin)
+        for start, end, begin in zip(starts, ends, begins, strict=True)
     ]
 
 

@@ -23,6 +23,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from phdtrack.clock import Clock
 from phdtrack.errors import InputError, absent
 from phdtrack.files import load, read_json
 from phdtrack.report import write_run
@@ -163,10 +164,19 @@ class BatchVideo:
         write_run(directory.file(DOCUMENT), {"digest": self.digest})
         return join([(part.segment, part.folder) for part in self.parts if part.segment], directory)
 
+    def _video_clock(self) -> Clock | None:
+        """The times of the video; None without one, or if it cannot be read any more."""
+        source = self.request.source
+        with suppress(InputError, OSError):
+            if source.source:
+                return open_source(source.source, fps=source.fps).clock()
+        return None
+
     def _complete(self, document: dict[str, Any]) -> dict[str, object]:
         """Write the rows and the result, from run.json."""
         if self.rows is not None:
-            write_rows(self.name, self.folder, self.rows, document["source"]["fps"])
+            fps = document["source"]["fps"]
+            write_rows(self.name, self.folder, self.rows, fps, self._video_clock())
         names = ("frames", "tracks", "track_rows", "seconds", "warnings")
         result = {name: document[name] for name in names}
         write_run(self.folder / DOCUMENT, {"digest": self.digest, "result": result})
@@ -291,18 +301,18 @@ class BatchPlan:
         )
 
     def _segments(self, request: SourceRequest) -> list[Segment]:
-        """The segments of a video, by its rate and the number of frames that it announces."""
+        """The segments of a video, by the times of its frames."""
         try:
             if request.source:
                 source = open_source(request.source, fps=request.fps)
             else:
                 source = open_inputs(request, {}).source
+            clock = source.clock()
         except (InputError, OSError):
             # The run of the video reports why.
             return []
-        frames = source.info.frames or source.announced
-        fps = source.info.fps
-        return cut(frames, self.segment * fps, self.overlap * fps)
+        frames = source.info.frames or int(clock.frame[-1])
+        return cut(frames, self.segment, self.overlap, clock)
 
 
 def _command(source: str, folder: Path, words: Sequence[str]) -> str:
