@@ -9,6 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from phdtrack import config
 from phdtrack.arrays import iou
+from phdtrack.clock import Clock
 from phdtrack.label.suggestions import (
     REASONS,
     SHOWN,
@@ -115,7 +116,9 @@ def at_one_place(frames, jitter=2.0, seed=0):
     rng = np.random.default_rng(seed)
     box = np.array([100.0, 100, 140, 200]) + jitter * rng.standard_normal((len(frames), 4))
     table = DetectionTable(np.asarray(frames, np.int64), Detections.of(box))
-    return Evidence(table, FPS, range(1, 1501), np.zeros(len(frames)), Tracks.empty())
+    return Evidence(
+        table, Clock.constant(FPS), range(1, 1501), np.zeros(len(frames)), Tracks.empty()
+    )
 
 
 def place_score(evidence):
@@ -145,7 +148,7 @@ def test_boxes_of_moving_tracks_are_never_suggested():
     ones = np.ones(100)
     rows = np.zeros(100, np.int64)
     tracks = Tracks(frames, rows + 7, box, ones, rows, ones > 0)
-    evidence = Evidence(table, FPS, range(1, 101), 0.99 * ones, tracks)
+    evidence = Evidence(table, Clock.constant(FPS), range(1, 101), 0.99 * ones, tracks)
     assert len(suggest(evidence, range(1, 101))) == 0
     without = suggest(replace(evidence, tracks=Tracks.empty()), [3, 50, 200])
     assert without == [Suggestion(number, 0, "rejected", 0.99, -1) for number in (3, 50)]

@@ -68,7 +68,7 @@ def learn(
     marks = None
     if by_hand and file.exists():
         store = LabelStore.open(file, sequence.name, sequence.digest, [])
-        marks = Marks(store, sequence.table, sequence.info, stretch)
+        marks = Marks(store, sequence.table, sequence.info, stretch, sequence.clock)
     with output.progress("tracking", len(stretch)) as advance:
         trained = SceneTraining(
             source=sequence.name,
@@ -80,6 +80,7 @@ def learn(
             marks=marks,
             labels=file,
             advance=advance,
+            clock=sequence.clock,
         ).train(births, clutter)
     output.say(*trained.sentences)
     nothing = trained.scene.births is None and trained.scene.clutter is None

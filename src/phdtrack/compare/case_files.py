@@ -67,7 +67,11 @@ def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list
     last = 0 if truth is None else int(read_truth(truth).frame.max(initial=0))
     decoded = None
     if source and (detectors or info is None):
-        decoded = open_source(source).info
+        video = open_source(source)
+        decoded = video.info
+        if video.times is None and info is not None:
+            # Images do not know their rate.
+            decoded = replace(decoded, fps=info.fps)
     cases = [
         Case(name, label, _info(word, file, info or decoded, last), truth, source, file)
         for label, file in files

@@ -32,6 +32,7 @@ import numpy as np
 
 import phdtrack
 from phdtrack import config
+from phdtrack.clock import Clock
 from phdtrack.compare.plans import Case, Plan, Run
 from phdtrack.detect.convert import within_frame
 from phdtrack.detect.table_detector import frames_walked
@@ -53,6 +54,7 @@ from phdtrack.run.requests import SourceRequest
 from phdtrack.simulate import add_clutter
 from phdtrack.tracker import Tracker
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
+from phdtrack.video import open_source
 from phdtrack.video.image_folder import SUFFIXES
 
 Advance = Callable[[int], object]
@@ -402,12 +404,22 @@ def run_input(run: Run, kept: Path) -> RunInput:
         table, warnings = within_frame(read_detections(case.file), info, case.file)
         names = table.names
         numbers = frames_walked(table, info.frames, info.fps)
-        frames = list(table_frames(table, numbers, info.fps))
+        frames = list(table_frames(table, numbers, _clock(case.source, info.fps)))
     truth = read_truth(case.truth) if case.truth else None
     if run.rate:
         table = _with_clutter(run, info, table, truth)
         frames = [one._replace(detections=table.at(one.frame.number)) for one in frames]
     return RunInput(info, frames, table, names, truth, "; ".join(filter(None, warnings)))
+
+
+@lru_cache(maxsize=1)
+def _clock(source: str, fps: float) -> Clock:
+    """The times of the frames of a video; of images, or without any, those of a constant rate."""
+    if source:
+        times = open_source(source).times
+        if times is not None:
+            return times()
+    return Clock.constant(fps)
 
 
 def _table(frames: Sequence[DetectedFrame]) -> DetectionTable:

@@ -19,6 +19,7 @@ import numpy as np
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate.rejection import without_false_tracks
+from phdtrack.clock import Clock
 from phdtrack.errors import InputError
 from phdtrack.label.samples import Marks, shuffled
 from phdtrack.label.suggestions import TICKED, Evidence, suggest
@@ -83,6 +84,7 @@ class SceneTraining:
     classes, seed : the stages of each class, and the seed.
     marks, labels : a person's marks, None if there are none, and their file.
     advance : called with the number of frames tracked.
+    clock : the times of the frames; None for a constant rate.
     """
 
     source: str
@@ -94,6 +96,7 @@ class SceneTraining:
     marks: Marks | None
     labels: Path
     advance: Callable[[int], object]
+    clock: Clock | None = None
 
     def train(self, births: str, clutter: str) -> Trained:
         """The scene from ``births`` of "tracks" or marked by "hand", and ``clutter`` of "labels" or
@@ -257,11 +260,11 @@ class SceneTraining:
         """Births from the moving tracks of the tracker itself [M09 §IV]. Raises `InputError` if no
         place is likelier than others: the default births are better then.
         """
-        fps = self.info.fps
+        clock = self._times
         rate = self.stages.model.rate
-        states = births_in(tracks, fps, rate)
+        states = births_in(tracks, clock, rate)
         text = f"{counted(states.shape[1], 'track')} began in {counted(len(self.stretch), 'frame')}"
-        training = learn_births(states, len(self.stretch) / fps * rate, self._size)
+        training = learn_births(states, clock.passed(self.stretch) * rate, self._size)
         if not training.learned.density.has_places:
             problem = f"{text}, and no place is likelier than others"
             raise InputError(problem, where="learning births", cure="Learn from a longer stretch")
@@ -286,6 +289,11 @@ class SceneTraining:
         return self.classes.usual
 
     @property
+    def _times(self) -> Clock:
+        """The times of the frames."""
+        return self.clock or Clock.constant(self.info.fps)
+
+    @property
     def _size(self) -> tuple[float, float]:
         """Width and height of a frame in pixels."""
         return float(self.info.width), float(self.info.height)
@@ -303,9 +311,7 @@ class SceneTraining:
         if alarms is not None:
             own = {code: _with_alarms(stages, alarms) for code, stages in classes.own.items()}
             classes = replace(classes, usual=_with_alarms(self.stages, alarms), own=own)
-        return Evidence.of(
-            self.table, self.info.fps, self.stretch, classes, self.seed, self.advance
-        )
+        return Evidence.of(self.table, self._times, self.stretch, classes, self.seed, self.advance)
 
     def _with_prior(self, learned: LearnedDensity) -> LearnedDensity:
         """The learned density, mixed with a little of all sizes detected in the stretch."""

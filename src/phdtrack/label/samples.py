@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
+from phdtrack.clock import Clock
 from phdtrack.label.store import DRAWN, Label, LabelStore
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks
 
@@ -61,12 +62,14 @@ class Marks:
     ----------
     store, table, info : the labels, their detections, the sequence with its number of frames.
     stretch : the frames that count, all of the sequence; None for all.
+    clock : the times of the frames; None for a constant rate.
     """
 
     store: LabelStore
     table: DetectionTable
     info: SequenceInfo
     stretch: range | None = None
+    clock: Clock | None = None
 
     @property
     def looked_at(self) -> list[int]:
@@ -122,7 +125,9 @@ class Marks:
 
     def time_watched(self, rate: float) -> float:
         """The time in which births were looked for, in units of 1/``rate`` seconds."""
-        return len(self.watched) / self.info.fps * rate
+        clock = self._clock
+        seconds = clock.times(self.watched) - clock.times(self.watched - 1)
+        return float(seconds.sum()) * rate
 
     def birth_states(self, rate: float) -> F8:
         """(6, n) states (px, py, vx, vy, w, h) of the boxes marked as births in the `watched`
@@ -132,20 +137,23 @@ class Marks:
         to detections in two of the next three frames.
         """
         counted = set(self.watched.tolist())
-        scale = self.info.fps / rate
         births = [
             label
             for label in self.store.labels()
             if label.mark == "birth" and label.frame in counted
         ]
         velocity = (
-            np.array([_velocity(self.table, label, self.info.fps) for label in births])
+            np.array([_velocity(self.table, label, self._clock) for label in births])
             .reshape(-1, 2)
             .T
-            * scale
+            / rate
         )
         box = boxes_of(births, self.table)
         return np.concatenate([box[:2], velocity, box[2:]])
+
+    @property
+    def _clock(self) -> Clock:
+        return self.clock or Clock.constant(self.info.fps)
 
     @property
     def _frames(self) -> range:
@@ -161,24 +169,25 @@ class Marks:
         ]
 
 
-def _velocity(table: DetectionTable, birth: Label, fps: float) -> F8:
-    """(2,) velocity in pixels per frame: the slope of the straight line through the centres of the
+def _velocity(table: DetectionTable, birth: Label, clock: Clock) -> F8:
+    """(2,) velocity in pixels per second: the slope of the straight line through the centres of the
     box and of the detections linked to it.
     """
     # A drawn box is no detection.
     own = birth.box if birth.box < DRAWN else -1
-    frames = [birth.frame]
+    times = [clock.time(birth.frame)]
     boxes = [boxes_of([birth], table)[:, 0]]
     slope = np.zeros(2)
     for number in range(birth.frame + 1, birth.frame + 1 + _LINKS):
-        passed = number - frames[-1]
+        time = clock.time(number)
+        passed = time - times[-1]
         predicted = np.concatenate([boxes[-1][:2] + passed * slope, boxes[-1][2:]])
-        own = _next(table, number, predicted, own, _ERROR + _SPEED / fps * passed)
+        own = _next(table, number, predicted, own, _ERROR + _SPEED * passed)
         if own >= 0:
-            frames.append(number)
+            times.append(time)
             boxes.append(to_cxcywh(table.at(number).xyxy)[:, own])
-            slope = np.polyfit(frames, np.array(boxes)[:, :2], 1)[0]
-    if len(frames) > _MIN_LINKS:
+            slope = np.polyfit(np.array(times) - times[0], np.array(boxes)[:, :2], 1)[0]
+    if len(times) > _MIN_LINKS:
         return slope
     return np.full(2, math.nan)
 

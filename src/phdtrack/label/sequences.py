@@ -15,6 +15,7 @@ import cv2
 
 from phdtrack import __version__
 from phdtrack.arrays import pixelated
+from phdtrack.clock import Clock
 from phdtrack.config import Settings, build_classes
 from phdtrack.devices import size_of
 from phdtrack.errors import InputError
@@ -48,6 +49,7 @@ class LabelledSequence:
     info, table : the sequence and its detections.
     digest : of the detections.
     classes : that there may be; None if unknown.
+    clock : the times of the frames; None for a constant rate.
     """
 
     name: str
@@ -56,6 +58,7 @@ class LabelledSequence:
     digest: str
     names: Mapping[int, str] | None = None
     classes: frozenset[int] | None = None
+    clock: Clock | None = None
 
     def stages(self, settings: Settings) -> ClassSettings:
         """The stages of its classes."""
@@ -107,7 +110,8 @@ def open_sequence(
     content = table.frame.tobytes() + table.detections.xyxy.round(3).tobytes()
     digest = hashlib.sha256(content).hexdigest()[:32]
     info = replace(inputs.info, frames=last)
-    return LabelledSequence(inputs.name, info, table, digest, inputs.names, inputs.classes)
+    clock = inputs.source.clock()
+    return LabelledSequence(inputs.name, info, table, digest, inputs.names, inputs.classes, clock)
 
 
 def _kept_detections(
@@ -230,9 +234,18 @@ def suggestions(
     file : keeps the suggestions for the next time.
     advance : is called with the share that is done.
     """
-    fps = sequence.info.fps
+    clock = sequence.clock or Clock.constant(sequence.info.fps)
+    times = hashlib.sha256(clock.seconds.round(6).tobytes()).hexdigest()
     last = sequence.info.frames
-    decided_by = [__version__, sequence.digest, fps, last, sorted(frames), settings.as_dict()]
+    decided_by = [
+        __version__,
+        sequence.digest,
+        clock.rate,
+        times,
+        last,
+        sorted(frames),
+        settings.as_dict(),
+    ]
     key = hashlib.sha256(json.dumps(decided_by, default=str).encode()).hexdigest()
     # There may be no such file, or another program's: they are made anew.
     with suppress(OSError, ValueError, KeyError, TypeError):
@@ -241,7 +254,7 @@ def suggestions(
             return [Suggestion(*row) for row in kept["rows"]]
     evidence = Evidence.of(
         sequence.table,
-        fps,
+        clock,
         range(1, last + 1),
         sequence.stages(settings),
         advance=lambda count: advance(count / last),

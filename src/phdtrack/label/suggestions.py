@@ -32,6 +32,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from phdtrack.arrays import iou, to_cxcywh
+from phdtrack.clock import Clock, as_clock
 from phdtrack.detect.table_detector import frames_walked
 from phdtrack.multiclass import ClassSettings
 from phdtrack.protocols import AnyStages
@@ -69,13 +70,13 @@ class Evidence:
 
     Attributes
     ----------
-    table, fps, frames : the stretch's detections, M rows, frames per second, and its frames.
+    table, clock, frames : the stretch's detections, M rows, its times, and its frames.
     clutter : (M,) the posterior probability that each is a false alarm.
     tracks : the corrected ones, whose ``detection`` counts within the frame.
     """
 
     table: DetectionTable
-    fps: float
+    clock: Clock
     frames: range
     clutter: F8
     tracks: Tracks
@@ -84,7 +85,7 @@ class Evidence:
     def of(
         cls,
         table: DetectionTable,
-        fps: float,
+        fps: float | Clock,
         frames: range,
         stages: AnyStages | ClassSettings,
         seed: int = 0,
@@ -97,19 +98,20 @@ class Evidence:
 
         Parameters
         ----------
-        table, fps : of the whole sequence.
+        table, fps : of the whole sequence; frames per second, or the times of the frames.
         frames : the stretch.
         stages, seed : how to track.
         advance : called with the number of frames done.
         """
         rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
         stretch = DetectionTable(table.frame[rows], table.detections.select(rows))
-        tracker = Tracker(stages=stages, fps=fps, seed=seed)
+        clock = as_clock(fps)
+        tracker = Tracker(stages=stages, fps=clock.rate, seed=seed)
         clutter = _ClutterProbabilities(advance)
-        numbers = frames_walked(table, frames.stop - 1, fps)
+        numbers = frames_walked(table, frames.stop - 1, clock.rate)
         inside = (number for number in numbers if number >= frames.start)
-        track_frames(tracker, table_frames(table, inside, fps), (clutter,))
-        return cls(stretch, fps, frames, np.concatenate(clutter.values), tracker.tracks())
+        track_frames(tracker, table_frames(table, inside, clock), (clutter,))
+        return cls(stretch, clock, frames, np.concatenate(clutter.values), tracker.tracks())
 
 
 class _ClutterProbabilities:
@@ -149,9 +151,8 @@ class Suggestion(NamedTuple):
 def suggest(evidence: Evidence, frames: Sequence[int]) -> list[Suggestion]:
     """Suggestions among the detections of some frames, worst first; none outside the stretch."""
     table = evidence.table
-    fps = evidence.fps
     own = _tracks_of(table, evidence.tracks)
-    speed, span = _lives(table, own, fps)
+    speed, span = _lives(table, own, evidence.clock)
     requested = np.isin(table.frame, np.asarray(frames, np.int64))
     goes = speed >= SLOW
     place, fires = _places(evidence, ~goes, requested & ~goes)
@@ -183,7 +184,7 @@ def _tracks_of(table: DetectionTable, tracks: Tracks) -> I8:
     return own
 
 
-def _lives(table: DetectionTable, own: I8, fps: float) -> tuple[F8, F8]:
+def _lives(table: DetectionTable, own: I8, clock: Clock) -> tuple[F8, F8]:
     """(M,) speed of each detection's track there in sizes per second, and (M,) its duration in
     seconds; 0 without a track.
 
@@ -195,7 +196,7 @@ def _lives(table: DetectionTable, own: I8, fps: float) -> tuple[F8, F8]:
     for rows in np.split(order, np.searchsorted(own[order], np.arange(own.max(initial=-1) + 1)))[
         1:
     ]:
-        time = table.frame[rows] / fps
+        time = clock.times(table.frame[rows])
         here = np.arange(len(rows))
         total = np.hstack([np.zeros((2, 1)), np.cumsum(box[:2, rows], axis=1)])
         first = np.searchsorted(time, time - 1.0)
@@ -203,7 +204,7 @@ def _lives(table: DetectionTable, own: I8, fps: float) -> tuple[F8, F8]:
         before = (total[:, here + 1] - total[:, first]) / (here + 1 - first)
         behind = (total[:, last] - total[:, here]) / (last - here)
         speed[rows] = np.hypot(*(behind - before)) / np.sqrt(box[2, rows] * box[3, rows]).mean()
-        span[rows] = time[-1] - time[0] + 1 / fps
+        span[rows] = clock.time(table.frame[rows[-1]] + 1) - time[0]
     return speed, span
 
 
@@ -247,17 +248,21 @@ def _fires(frame: I8, evidence: Evidence) -> float:
     """The score of a place that has still detections in these frames of the stretch."""
     from scipy.special import gammaincc
 
-    hits = np.unique(frame) - evidence.frames.start
+    hits = np.unique(frame)
     length = len(evidence.frames)
     n = len(hits)
-    window = STAY * evidence.fps
+    clock = evidence.clock
+    seconds = clock.passed(evidence.frames)
+    window = STAY * length / seconds
     if n < 2:
         return 0.0
     often = float(gammaincc(n, window))  # P(N < n)
     runs = 1 + (np.diff(hits) > 1).sum()
-    windows = len(np.unique(hits // window))
+    passed = clock.times(hits) - clock.time(evidence.frames.start)
+    # Rounding of times must not move a frame into the window before.
+    windows = len(np.unique((passed + 1e-6) // STAY))
     at_random = np.interp(runs / (n * (length - n + 1) / length), _RUNS, (0, 1))
-    parts = length / window
+    parts = seconds / STAY
     all_along = np.interp(windows / math.ceil(parts), _SPREAD, (0, 1)) if parts >= _WINDOWS else 0.0
     return often * float(max(at_random, all_along))
 

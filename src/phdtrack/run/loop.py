@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from phdtrack.clock import Clock, as_clock
 from phdtrack.detect.base import Detector, detect_all, pose_of
 from phdtrack.pipeline import TrackingState
 from phdtrack.run.camera_motion import Mover
@@ -82,17 +83,18 @@ def detect_frames(
 
 
 def table_frames(
-    table: DetectionTable, numbers: Iterable[int], fps: float
+    table: DetectionTable, numbers: Iterable[int], fps: float | Clock
 ) -> Iterator[DetectedFrame]:
-    """The frames of a table of detections, without pictures, at constant intervals.
+    """The frames of a table of detections, without pictures.
 
     Parameters
     ----------
     table : the detections.
-    numbers, fps : numbers of the frames, and frames per second.
+    numbers, fps : numbers of the frames, and frames per second or their times.
     """
+    clock = as_clock(fps)
     for number in numbers:
-        yield DetectedFrame(Frame(number, (number - 1) / fps, NO_PICTURE), table.at(number))
+        yield DetectedFrame(Frame(number, clock.time(number), NO_PICTURE), table.at(number))
 
 
 def track_frame(tracker: Tracker, detected: DetectedFrame) -> TrackedFrame:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
+from phdtrack.clock import Clock, as_clock
 from phdtrack.errors import InputError
 from phdtrack.scene.em import best_uniform, grid, learn, parameters
 from phdtrack.scene.mixture import SceneDensity
@@ -152,7 +153,7 @@ def with_prior(learned: LearnedDensity, size: F8) -> LearnedDensity:
     return replace(learned, density=replace(density, low=low, high=high, uniform=uniform))
 
 
-def births_in(tracks: Tracks, fps: float, rate: float, everything: bool = False) -> F8:
+def births_in(tracks: Tracks, fps: float | Clock, rate: float, everything: bool = False) -> F8:
     """(6, n) first states (px, py, vx, vy, w, h) of the tracks that last and move; those of
     flickering lights do not.
 
@@ -161,7 +162,7 @@ def births_in(tracks: Tracks, fps: float, rate: float, everything: bool = False)
     Parameters
     ----------
     tracks : M rows of corrected tracks.
-    fps : frames per second.
+    fps : frames per second, or the times of the frames.
     rate : time units per second of the velocities.
     everything : include all tracks of at least three rows, which have a velocity, as in M09.
     """
@@ -169,13 +170,18 @@ def births_in(tracks: Tracks, fps: float, rate: float, everything: bool = False)
     order = np.lexsort((tracks.frame, tracks.identity))
     start = np.flatnonzero(np.diff(tracks.identity[order], prepend=-1))
     first_frame = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
-    min_rows = 3 if everything else max(5, round(MIN_DURATION * fps))
+    clock = as_clock(fps)
     states = []
     for rows in np.split(order, start[1:]) if len(order) else []:
         frame = tracks.frame[rows]
+        time = clock.times(frame)
+        min_rows = 3
+        if not everything:
+            # As many as there are in that time.
+            min_rows = max(5, round(clock.number_at(time[0] + MIN_DURATION) - float(frame[0])))
         lasting = len(rows) >= min_rows and frame[0] > first_frame
         if lasting and (everything or _distance(box[:, rows]) >= MIN_DISTANCE):
-            states.append(first_state(box[:, rows], (frame - frame[0]) / fps))
+            states.append(first_state(box[:, rows], (time - time[0]).round(9)))
     out = np.array(states).reshape(-1, 6).T.copy()
     out[2:4] /= rate
     return out
