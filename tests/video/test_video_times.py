@@ -132,6 +132,32 @@ def test_stamps_far_ahead_are_told_and_not_used(tmp_path: Path, name: str) -> No
     np.testing.assert_allclose([one.time for one in part], [one.time for one in frames[19:45]])
 
 
+@pytest.mark.parametrize("codec", ["mpeg4", "libx264"])
+def test_avi_knows_the_order_of_decoding_only(tmp_path: Path, codec: str) -> None:
+    """With pictures that are predicted from later ones, also if it begins at a later frame."""
+    path = tmp_path / "a.avi"
+    with av.open(str(path), "w") as container:
+        video = container.add_stream(codec, rate=25, options={"bf": "2", "g": "12"})
+        video.width = 64
+        video.height = 48
+        video.pix_fmt = "yuv420p"
+        for k in range(60):
+            frame = av.VideoFrame.from_ndarray(picture(k), format="bgr24")
+            frame.pts = k
+            frame.time_base = Fraction(1, 25)
+            container.mux(video.encode(frame))
+        container.mux(video.encode(None))
+    source = open_source(path)
+    whole = list(source)
+    np.testing.assert_allclose([one.time for one in whole], 0.04 * np.arange(60), atol=1e-9)
+    np.testing.assert_allclose(source.clock().times(range(1, 61)), 0.04 * np.arange(60), atol=1e-9)
+    assert (source.note, source.problem) == ("", "")
+    for first in (2, 15, 38):
+        part = next(iter(replace(source, first=first)))
+        assert part.time == pytest.approx(whole[first - 1].time)
+        np.testing.assert_array_equal(part.image, whole[first - 1].image)
+
+
 @pytest.mark.parametrize("stamps", [VARIABLE, PAUSE], ids=["variable", "pause"])
 def test_written_times_are_those_of_the_source(tmp_path: Path, stamps: list[int]) -> None:
     seconds = 7.0 + np.array(stamps) / 1000

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cache
 from itertools import chain, dropwhile, islice
 from pathlib import Path
@@ -62,6 +63,7 @@ def file_source(path: str, fps: float, first: int) -> VideoSource:
         length = container.duration or 0
         picture = next(_pictures(container, stream, losses), None)
         announced = stream.frames
+        shuffled = container.format.name == "avi" and stream.codec_context.has_b_frames
         pixel_aspect = float(stream.sample_aspect_ratio or 1)
         if picture is not None and not fps:
             with suppress(*_damage()):
@@ -80,7 +82,7 @@ def file_source(path: str, fps: float, first: int) -> VideoSource:
     if decoded.size != (picture.width, picture.height):
         pixel_aspect = 1 / pixel_aspect
     info = SequenceInfo(*decoded.size, rate, 0, Path(path).stem, pixel_aspect)
-    video = _VideoFile(path, fps, rate, note, picture.pts, picture.time or 0.0)
+    video = _VideoFile(path, fps, rate, note, picture.pts, picture.time or 0.0, shuffled)
     return VideoSource(
         info,
         video.read,
@@ -139,6 +141,8 @@ class _VideoFile:
     fps : frames per second that replace its stamps; 0 for the stamps.
     rate, note : frames per second that are usual, and a sentence about them.
     begin, zero : the first picture's stamp, in the stream's unit and in seconds.
+    shuffled : whether the stamps are those of the order of decoding. AVI has no others, and
+        pictures that are predicted from later ones get those of their neighbours.
     """
 
     path: str
@@ -147,6 +151,7 @@ class _VideoFile:
     note: str
     begin: int | None
     zero: float
+    shuffled: bool = False
 
     def read(self, source: VideoSource) -> Iterator[Read]:
         """Yield the frames, and report what was lost in ``source.problem``, and which stamps were
@@ -162,7 +167,9 @@ class _VideoFile:
             unit = stream.time_base
             pictures = _pictures_from(container, stream, stamps, losses, source)
             skipped = ((k, float(stamps[k - 1] * unit), None) for k in range(1, before + 1))
-            shown = ((k, one.time, one) for k, one in enumerate(pictures, start=before + 1))
+            shown = (
+                (k, self._stamp(one, unit), one) for k, one in enumerate(pictures, start=before + 1)
+            )
             for number, time, picture in self._timed(chain(skipped, shown), doubted):
                 if picture is not None:
                     yield number, time, Decoded(picture), f"{self.path}, frame {number}"
@@ -193,7 +200,7 @@ class _VideoFile:
             )
             if not stamps:
                 every = _pictures(container, stream, [])
-                pairs = ((k, picture.time) for k, picture in enumerate(every, start=1))
+                pairs = ((k, self._stamp(one, unit)) for k, one in enumerate(every, start=1))
             reads = ((number, stamp, None) for number, stamp in pairs)
             found = [(number, time) for number, time, _ in self._timed(reads, [])]
         return Clock.of([number for number, _ in found], [time for _, time in found], self.rate)
@@ -205,6 +212,15 @@ class _VideoFile:
         if self.fps:
             return ((number, (number - 1) / self.fps, item) for number, _, item in reads)
         return settled(reads, 1 / self.rate, doubted)
+
+    def _stamp(self, picture: Any, unit: Fraction) -> float | None:
+        """The time stamp of a picture in seconds; None without one."""
+        if not self.shuffled:
+            time: float | None = picture.time
+            return time
+        if picture.dts is None:
+            return None
+        return float(picture.dts * unit)
 
     def _stamps_to(self, number: int) -> list[int]:
         """The time stamps of the frames up to ``number``; empty if the file cannot seek there, and
@@ -224,6 +240,8 @@ class _VideoFile:
         do not identify frames.
         """
         stamps: list[int] = []
+        if self.shuffled:
+            return stamps
         with _open(self.path) as (container, stream), suppress(*_damage()):
             stamps = _stamps(container, stream, count)
         if stamps[:1] != [self.begin]:
