@@ -104,7 +104,8 @@ def _measured_rate(container: Any, stream: Any) -> float:
         return 0.0
     usual = float(np.median(steps))
     even = steps[steps < 2 * usual]
-    return round(float(1 / (even.mean() * stream.time_base)), 2)
+    # Stamps are rounded, mostly to milliseconds.
+    return float(f"{1 / (even.mean() * float(stream.time_base)):.4g}")
 
 
 def _rate(
