@@ -45,7 +45,8 @@ def test_repeated_identity_in_a_frame_is_refused(tmp_path: Path) -> None:
 
 
 def test_class_outside_the_benchmark_is_refused(tmp_path: Path) -> None:
-    path = put(tmp_path, "1,1,0,0,5,5,1,1,1\n1,2,0,0,5,5,1,14,1\n")
+    rows = "1,1,0,0,5,5,1,1,1\n1,2,0,0,5,5,1,14,1\n"
+    path = put(tmp_path, rows, "MOT17-02/gt/gt.txt")
     refused(
         read_truth, path, ", line 2", "expected a whole number from 1 to 13 for the class, got 14"
     )

@@ -1,7 +1,8 @@
 """Readers and writers of detections, truth, tracks and states: MOTChallenge, KITTI, CSV, Parquet,
-JSON lines, COCO, CVAT, CVML.
+JSON lines, COCO, CVAT, CVML, UA-DETRAC.
 """
 
+from phdtrack.formats.conventions import Conventions
 from phdtrack.formats.exports import EXPORTS, export_tracks
 from phdtrack.formats.read import read_detections, read_tracks, read_tracks_named
 from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo
@@ -18,6 +19,7 @@ from phdtrack.formats.write import (
 
 __all__ = [
     "EXPORTS",
+    "Conventions",
     "DetectionsWriter",
     "StatesWriter",
     "TracksWriter",

@@ -4,7 +4,10 @@ The content decides the format: Parquet by its first bytes, XML by ``<``, JSON b
 JSON lines if its first line is an object with a frame; anything else is a text table, MOTChallenge,
 KITTI or CSV. An empty file has no rows. The readers number frames from 1. ``first_frame`` is the
 number that the file gives the first frame, for tools that deviate from their format: 0 in CVML,
-CVAT and KITTI, 1 elsewhere. `truth.py` reads truth.
+CVAT and KITTI, and in COCO if an image has this number; 1 elsewhere. `truth.py` reads truth.
+
+``conventions`` go before what the content says; sentences about guesses are added to ``notices``,
+or logged without such a list.
 """
 
 from __future__ import annotations
@@ -28,6 +31,8 @@ from phdtrack.formats.checks import (
     zero_or_one,
 )
 from phdtrack.formats.coco import table_of_coco
+from phdtrack.formats.conventions import BY_EVIDENCE, Conventions, report
+from phdtrack.formats.doubts import as_stated, check_scores, check_times
 from phdtrack.formats.json_lines import rows_of_json_lines
 from phdtrack.formats.kitti import is_kitti, kitti_of_all_types, kitti_of_type
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
@@ -39,7 +44,12 @@ NO_ROWS = Table(Origin(Path(), "line", np.zeros(0, np.int64)), 1, {}, np.zeros((
 
 
 def read_detections(
-    path: AnyPath, *, first_frame: int | None = None, left_out: MalformedRows | None = None
+    path: AnyPath,
+    *,
+    first_frame: int | None = None,
+    left_out: MalformedRows | None = None,
+    conventions: Conventions = BY_EVIDENCE,
+    notices: list[str] | None = None,
 ) -> DetectionTable:
     """Read the detections in a MOTChallenge ``det.txt``, KITTI, CSV, Parquet, JSON, CVML or CVAT
     file, sorted by frame.
@@ -55,9 +65,16 @@ def read_detections(
     path : the file.
     first_frame : the number that the file gives the first frame; None: as usual in its format.
     left_out : counts malformed rows, which are then skipped; None: the first one is an error.
+    conventions : what goes before the evidence of the content.
+    notices : receives sentences about guesses; None: they are logged.
     """
-    table = table_of(Path(path), Kind.DETECTIONS, first_frame, left_out=left_out)
-    return detections_of(table, left_out)
+    path = Path(path)
+    conventions = conventions.starting_at(first_frame)
+    table = table_of(path, Kind.DETECTIONS, conventions, left_out=left_out, notices=notices)
+    found = detections_of(table, left_out)
+    check_scores(found.detections.confidence, path, notices)
+    check_times(found.frame, path, notices)
+    return found
 
 
 def detections_of(table: Table, left_out: MalformedRows | None = None) -> DetectionTable:
@@ -110,7 +127,14 @@ def _covariance_rule(covariance: F8) -> Rule:
     return Rule(~finite | negative, problem, lowest)
 
 
-def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:
+def read_tracks(
+    path: AnyPath,
+    *,
+    first_frame: int | None = None,
+    kitti: str = "",
+    conventions: Conventions = BY_EVIDENCE,
+    notices: list[str] | None = None,
+) -> Tracks:
     """Read the tracks in a MOTChallenge (6 to 13 columns), KITTI, CSV, Parquet, JSON, CVML or CVAT
     file, sorted by frame, then identity.
 
@@ -123,28 +147,49 @@ def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "
     path : the file.
     first_frame : the number that the file gives the first frame; None: as usual in its format.
     kitti : the type of objects to read from a KITTI file, for example Car.
+    conventions : what goes before the evidence of the content.
+    notices : receives sentences about guesses; None: they are logged.
     """
-    return _tracks_of(table_of(Path(path), Kind.TRACKS, first_frame, kitti))
+    conventions = conventions.starting_at(first_frame)
+    table = table_of(Path(path), Kind.TRACKS, conventions, kitti, notices=notices)
+    return _tracks_of(table, notices)
 
 
-def read_tracks_named(path: AnyPath) -> tuple[Tracks, Mapping[int, str]]:
-    """The tracks in a file, and the names of their classes; raises like `read_tracks`."""
-    table = table_of(Path(path), Kind.TRACKS, None)
-    return _tracks_of(table), table.names
+def read_tracks_named(
+    path: AnyPath,
+    *,
+    conventions: Conventions = BY_EVIDENCE,
+    notices: list[str] | None = None,
+) -> tuple[Tracks, Mapping[int, str]]:
+    """The tracks in a file, and the names of their classes; raises like `read_tracks`.
+
+    Parameters
+    ----------
+    path : the file.
+    conventions : what goes before the evidence of the content.
+    notices : receives sentences about guesses; None: they are logged.
+    """
+    table = table_of(Path(path), Kind.TRACKS, conventions, notices=notices)
+    return _tracks_of(table, notices), table.names
 
 
-def _tracks_of(table: Table) -> Tracks:
+def _tracks_of(table: Table, notices: list[str] | None) -> Tracks:
     """The tracks in a table, sorted by frame, then identity. Raises `InputError` for a malformed
     row.
 
-    Rows of truth that are not scored are left out: distractors, regions, and rows of confidence 0
-    in files of 8 or 9 columns. Of KITTI files only regions are left out, because a tracker's rows
-    of hidden objects count.
+    Rows of truth that are not scored are left out: distractors, regions, and rows of flag 0 in
+    annotations of MOT16 and later. A tracker's rows count whatever their score. Of KITTI files only
+    regions are left out, because a tracker's rows of hidden objects count.
     """
     ignore = table.get(Column.DISTRACTOR)
     enforce(table.origin, zero_or_one(ignore, "distractor"))
     scored = (table.get(Column.MOT_CLASS) == -1) | (table.get(Column.CONFIDENCE) != 0)
-    table = table.select(scored & ((ignore == 0) | table.kitti) & (table.get(Column.REGION) == 0))
+    scored &= ((ignore == 0) | table.kitti) & (table.get(Column.REGION) == 0)
+    if not scored.all():
+        unscored = int((~scored).sum())
+        sentence = f"{unscored} of {len(scored)} rows are no objects by their flag or class"
+        report(notices, table.origin.path, f"{sentence}, and are left out")
+    table = table.select(scored)
     detection = table.get(Column.DETECTION)
     confirmed = table.get(Column.CONFIRMED)
     label = table.get(Column.CLASS)
@@ -169,9 +214,10 @@ def _tracks_of(table: Table) -> Tracks:
 def table_of(
     path: Path,
     kind: Kind,
-    first_frame: int | None,
+    conventions: Conventions = BY_EVIDENCE,
     kitti: str = "",
     left_out: MalformedRows | None = None,
+    notices: list[str] | None = None,
 ) -> Table:
     """The rows of a file, not checked yet. Raises `InputError` if the file is missing or cannot be
     parsed.
@@ -180,27 +226,46 @@ def table_of(
     ----------
     path : the file.
     kind : the kind of rows that it is read as.
-    first_frame : the number that it gives the first frame; None: as usual in its format.
+    conventions : what goes before the evidence of the content.
     kitti : the type of objects to read from a KITTI file.
     left_out : receives rows of text and JSON that cannot be parsed; None: they are errors.
+    notices : receives sentences about guesses; None: they are logged.
     """
     content = load(path)
     if not content.strip():
         return replace(NO_ROWS, origin=Origin(path, "line", np.zeros(0, np.int64)))
-    start = first_characters(content)
-    usual = 0 if start.startswith(b"<") else 1
-    source = Source(path, content, kind, usual if first_frame is None else first_frame, left_out)
+    first = conventions.first_frame
+    usual = 1 if first is None else first
+    source = Source(path, content, kind, usual, left_out, conventions, notices)
+    return as_stated(source, _table_of_container(source, kitti))
+
+
+def _table_of_container(source: Source, kitti: str) -> Table:
+    """The rows of a file by the format that its first characters announce."""
+    start = first_characters(source.content)
     if start == b"PAR1":
         return table_of_parquet(source)
     if start.startswith(b"<"):
         return table_of_xml(source)
+    _refuse_other(source, ("cvat", "detrac"), "XML, which begins with <")
     if start.startswith(b"{"):
         rows = rows_of_json_lines(source)
         if rows is not None:
-            return _table_of_rows(source, rows, first_frame, kitti)
+            return _table_of_rows(source, rows, kitti)
     if start.startswith((b"[", b"{")):
         return table_of_coco(source)
-    return _table_of_rows(source, scan(path, content), first_frame, kitti)
+    _refuse_other(source, ("coco",), "JSON, which begins with [ or {")
+    return _table_of_rows(source, scan(source.path, source.content), kitti)
+
+
+def _refuse_other(source: Source, formats: tuple[str, ...], expected: str) -> None:
+    """Raise `InputError` if the user named a format that the file does not have."""
+    if source.conventions.format in formats:
+        raise InputError(
+            f"expected {expected}, for the format {source.conventions.format}, got another file",
+            where=source.path,
+            cure="Leave out --format, or in Python format.",
+        )
 
 
 def first_characters(content: bytes) -> bytes:
@@ -208,22 +273,22 @@ def first_characters(content: bytes) -> bytes:
     return content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()[:4]
 
 
-def _table_of_rows(source: Source, text: Text, first_frame: int | None, kitti: str) -> Table:
+def _table_of_rows(source: Source, text: Text, kitti: str) -> Table:
     """The rows of a text table, of KITTI or any other."""
     truth = source.kind is Kind.TRUTH
     if is_kitti(text):
-        if first_frame is None:
+        if source.conventions.first_frame is None:
             source = source._replace(first=0)
         if source.left_out is not None:
             text = text.readable({}, source.left_out)
         rows = kitti_of_type(text, kitti) if kitti or truth else kitti_of_all_types(text)
         return replace(table_of_text(source, rows), kitti=True)
-    if kitti and truth:
+    if (kitti and truth) or (source.conventions.format == "kitti" and len(text)):
         raise InputError(
-            f"expected a KITTI label file of 17 columns with types such as {kitti}, got another"
-            " table",
+            "expected a KITTI label file of 17 columns with types such as"
+            f" {kitti or 'Car'}, got another table",
             where=source.path,
-            cure="Omit --kitti, or in Python kitti.",
+            cure="Omit --kitti and --format, or in Python kitti and format.",
         )
     return table_of_text(source, text)
 
@@ -263,9 +328,13 @@ def box_rules(table: Table, *, min_size: float | None = None) -> list[Rule]:
     number = whole_number(frame, "frame number")
     cure = ""
     if first == 1:
-        cure = "If the file counts from 0, add 1, or in Python read it with first_frame=0."
+        cure = (
+            "If the file counts from 0, say --first-frame 0, add 1, or in Python read it with"
+            " first_frame=0."
+        )
     with np.errstate(invalid="ignore", over="ignore"):
-        early = frame < first
+        # Regions of frame 0 hold in all frames.
+        early = (frame < first) & ~((frame == 0) & (table.get(Column.REGION) != 0))
         size = box[:, 2:] - box[:, :2]
         large_enough = size > 0 if min_size is None else size >= min_size
         flat = ~large_enough.all(axis=1)

@@ -6,8 +6,7 @@ left, top, width, height, 7 confidence (optional). Then
 
 * detections: 11 class, 12–21 the upper triangle, by rows, of the covariance of (centre x, centre y,
   width, height);
-* truth of 8 or 9 columns (MOT16 and later): 8 class; in 10 columns (MOT15) 8–10 are world
-  coordinates, which are not used;
+* columns 7 to 10 of truth, tracks and VisDrone's detections: as `mot_layout.py` decides;
 * tracks: 11 detection, 12 confirmed, 13 class.
 
 Classes are whole numbers, or words, which get numbers from 1 in alphabetical order.
@@ -29,6 +28,16 @@ import numpy as np
 
 from phdtrack.errors import InputError, needed
 from phdtrack.formats.checks import MalformedRows, Origin
+from phdtrack.formats.conventions import BY_EVIDENCE, Conventions, report
+from phdtrack.formats.mot_layout import (
+    OTHERS_CATEGORY,
+    REGION_CATEGORY,
+    MotLayout,
+    layout_of_detections,
+    layout_of_tracks,
+    layout_of_truth,
+    own_class_names,
+)
 from phdtrack.formats.text import Text, is_number, normalise, numbers
 from phdtrack.types import F8, I8, Bool
 
@@ -121,13 +130,20 @@ _COVARIANCE = tuple(f"cov_{a}_{b}" for i, a in enumerate("xywh") for b in "xywh"
 
 class Source(NamedTuple):
     """A file to be read: its bytes ``content``, and the number ``first`` that it gives the first
-    frame. Malformed rows are errors, or are added to ``left_out``."""
+    frame. Malformed rows are errors, or are added to ``left_out``; sentences about guesses are
+    added to ``notices``, or logged without it."""
 
     path: Path
     content: bytes
     kind: Kind
     first: int
     left_out: MalformedRows | None = None
+    conventions: Conventions = BY_EVIDENCE
+    notices: list[str] | None = None
+
+    def report(self, sentence: str) -> None:
+        """Tell the user what was guessed."""
+        report(self.notices, self.path, sentence)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +204,12 @@ def table_of_text(source: Source, text: Text) -> Table:
             where=text.origin.at(0),
             cure="Give the columns in this order, or name them in a header line.",
         )
-    header = text.header or _by_position(_kind(source, text), text.width or 6)
+    header: Sequence[str] = text.header
+    mot = MotLayout.MOT15
+    if not header:
+        kind = _kind(source, text)
+        mot = _mot_layout(source, text, kind)
+        header = _by_position(kind, text.width or 6, mot)
     layout = _layout(source, header, text.empty)
     columns = {place: header[place] for place in layout.places}
     if source.left_out is not None:
@@ -196,7 +217,53 @@ def table_of_text(source: Source, text: Text) -> Table:
         numeric = {place: name for place, name in columns.items() if place != words}
         text = text.readable(numeric, source.left_out)
     text, names = _number_classes(text, layout, source.left_out)
-    return _table(source, text.origin, layout, numbers(text, columns), names)
+    table = _table(source, text.origin, layout, numbers(text, columns), names)
+    return _benchmark_table(source, table, mot)
+
+
+def _mot_layout(source: Source, text: Text, kind: Kind) -> MotLayout:
+    """The meaning of columns 7 to 10 of a file without a header."""
+    if kind is Kind.TRUTH:
+        return layout_of_truth(source.path, text, source.conventions)
+    if kind is Kind.TRACKS:
+        return layout_of_tracks(source.path, text, source.conventions)
+    if kind is Kind.DETECTIONS:
+        return layout_of_detections(text, source.conventions)
+    return MotLayout.MOT15
+
+
+def _benchmark_table(source: Source, table: Table, layout: MotLayout) -> Table:
+    """The table with the regions and distractors that the layout marks by its class numbers, and
+    the names of own classes; the layout is reported if it is a guess.
+    """
+    if not source.conventions.format and layout not in (MotLayout.MOT15, MotLayout.MOT17):
+        _report_layout(source, table, layout)
+    label = table.get(Column.CLASS)
+    if source.kind is Kind.DETECTIONS:
+        annotated = layout is MotLayout.VISDRONE and (table.get(Column.CONFIDENCE) == 0).any()
+        return table.select(label != REGION_CATEGORY) if annotated else table
+    if layout is MotLayout.OWN_CLASSES and not table.names:
+        return replace(table, names=own_class_names(source.path, np.unique(label).tolist()))
+    if layout is not MotLayout.VISDRONE or (table.get(Column.CONFIDENCE) % 1 != 0).any():
+        return table
+    if source.kind is Kind.TRACKS and (label != REGION_CATEGORY).all():
+        return table
+    region = (label == REGION_CATEGORY).astype(np.float64)
+    others = (label == OTHERS_CATEGORY).astype(np.float64)
+    values = {**table.values, Column.REGION: region, Column.DISTRACTOR: others}
+    return replace(table, values=values)
+
+
+def _report_layout(source: Source, table: Table, layout: MotLayout) -> None:
+    """Report what was taken for the layout of annotated objects, by which rows are scored."""
+    if source.kind is not Kind.TRUTH or table.names:
+        return
+    rule = "all rows are objects"
+    if layout is MotLayout.OWN_CLASSES:
+        rule = "all rows with flag 1 are objects (--format mot17: class 1 alone)"
+    if layout is MotLayout.VISDRONE:
+        rule = "category 0 is a region to ignore, category 11 an object to ignore"
+    source.report(f"read as {layout.value}: {rule}")
 
 
 def table_of_parquet(source: Source) -> Table:
@@ -261,17 +328,17 @@ def _kind(source: Source, text: Text) -> Kind:
     return source.kind
 
 
-def _by_position(kind: Kind, width: int) -> list[str]:
+def _by_position(kind: Kind, width: int, layout: MotLayout) -> list[str]:
     """The names of the columns of a file without a header, "" for those that are not used."""
     names = ["frame", "id", "left", "top", "width", "height", "confidence"][:width]
     names += [""] * (width - len(names))
+    for place, name in layout.columns.items():
+        names[place] = name
     if kind is Kind.DETECTIONS:
         if width > 10:
             names[10] = "class"
         if width >= 21:
             names[11:21] = _COVARIANCE
-    elif width in (8, 9):
-        names[7] = "MOT class"
     elif kind is Kind.TRACKS and width >= 12:
         names[10:13] = ("detection", "confirmed", "class")[: width - 10]
     return names

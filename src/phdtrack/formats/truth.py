@@ -28,7 +28,9 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import Rule, enforce, whole_number, zero_or_one
+from phdtrack.formats.conventions import BY_EVIDENCE, Conventions, report
 from phdtrack.formats.kitti import LEAST_HEIGHT
+from phdtrack.formats.mot_layout import LAST_CLASS, PEDESTRIAN
 from phdtrack.formats.read import NO_ROWS, box_rules, frames_of, identified, table_of
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_text
 from phdtrack.formats.text import Text, scan
@@ -36,58 +38,86 @@ from phdtrack.types import F8, Truth
 
 _DISTRACTORS = (2, 7, 8, 12)
 _MOT20_DISTRACTORS = (2, 6, 7, 8, 12)
-_PEDESTRIAN = 1
-_LAST_CLASS = 13
 
 
-def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Truth:
-    """Read the annotated objects in a MOTChallenge ``gt.txt``, KITTI, CSV, Parquet, JSON, CVML or
-    CVAT file, sorted by frame.
+def read_truth(
+    path: AnyPath,
+    *,
+    first_frame: int | None = None,
+    kitti: str = "",
+    conventions: Conventions = BY_EVIDENCE,
+    notices: list[str] | None = None,
+) -> Truth:
+    """Read the annotated objects in a MOTChallenge ``gt.txt``, KITTI, CSV, Parquet, JSON, CVML,
+    CVAT or UA-DETRAC file, sorted by frame.
 
-    Rows of confidence 0 that are not distractors are left out. In truth with classes (MOT16 and
-    later) pedestrians are scored, the benchmark's distractors are marked, and all others are left
+    Rows of confidence 0 that are not distractors are left out. In truth with classes of MOT16 and
+    later pedestrians are scored, the benchmark's distractors are marked, and all others are left
     out. The distractors are the classes 2, 7, 8, 12, and 6 too if a folder of the path is called
-    MOT20-something. Raises `InputError` if the file is missing or malformed; the message names the
-    line.
+    MOT20-something. Rows of identity −1 and flag 0 are regions to ignore. Raises `InputError` if
+    the file is missing or malformed; the message names the line.
 
     Parameters
     ----------
     path : the file.
     first_frame : the number that the file gives the first frame; None: as usual in its format.
     kitti : the type of objects to score in a KITTI label file, for example Car.
+    conventions : what goes before the evidence of the content.
+    notices : receives sentences about guesses; None: they are logged.
     """
-    return _truth_of(table_of(Path(path), Kind.TRUTH, first_frame, kitti), Path(path))
+    path = Path(path)
+    conventions = conventions.starting_at(first_frame)
+    return _truth_of(table_of(path, Kind.TRUTH, conventions, kitti, notices=notices), notices)
 
 
-def read_truth_by_class(path: AnyPath) -> dict[str, Truth]:
+def read_truth_by_class(
+    path: AnyPath,
+    *,
+    conventions: Conventions = BY_EVIDENCE,
+    notices: list[str] | None = None,
+) -> dict[str, Truth]:
     """Read the annotated objects of each class, by its name or number.
 
     Raises `InputError` like `read_truth`, and if the file has no classes.
+
+    Parameters
+    ----------
+    path : the file.
+    conventions : what goes before the evidence of the content.
+    notices : receives sentences about guesses; None: they are logged.
     """
     path = Path(path)
-    tracks = table_of(path, Kind.TRACKS, None)
-    if Column.CLASS not in tracks.values:
+    tracks = table_of(path, Kind.TRACKS, conventions, notices=[])
+    if tracks.kitti:
+        return {
+            name: read_truth(path, kitti=name, conventions=conventions, notices=notices)
+            for name in tracks.names.values()
+        }
+    table = table_of(path, Kind.TRUTH, conventions, notices=notices)
+    if Column.CLASS not in table.values:
         raise InputError(
             "the truth has no classes",
             where=path,
             cure="Name the column class, or omit --per-class.",
         )
-    if tracks.kitti:
-        return {name: read_truth(path, kitti=name) for name in tracks.names.values()}
-    table = table_of(path, Kind.TRUTH, None)
     label = table.get(Column.CLASS)
     enforce(table.origin, whole_number(label, "class"))
     return {
         table.names.get(int(number), f"{number:.0f}"): _truth_of(
-            table.select(label == number), path
+            table.select(label == number), notices
         )
         for number in np.unique(label)
     }
 
 
-def _truth_of(table: Table, path: Path) -> Truth:
+def _truth_of(table: Table, notices: list[str] | None) -> Truth:
     """The truth in a table. Raises `InputError` for a malformed row."""
-    region = table.get(Column.REGION) != 0
+    path = table.origin.path
+    unnamed = (table.get(Column.IDENTITY) == -1) & (table.get(Column.CONFIDENCE) == 0)
+    if unnamed.any():
+        rows = int(unnamed.sum())
+        report(notices, path, f"{rows} rows with identity −1 and flag 0 are regions to ignore")
+    region = (table.get(Column.REGION) != 0) | unnamed
     enforce(table.origin, *box_rules(table))
     regions = _regions(table.select(region))
     table = table.select(~region)
@@ -100,10 +130,10 @@ def _truth_of(table: Table, path: Path) -> Truth:
             "Truth of 8 or 9 columns has a MOTChallenge class in column 8; with 10 columns (MOT15)"
             " it has none."
         )
-        rules.append(whole_number(label, "class", low=_PEDESTRIAN, high=_LAST_CLASS, cure=cure))
+        rules.append(whole_number(label, "class", low=PEDESTRIAN, high=LAST_CLASS, cure=cure))
         mot20 = any(part.upper().startswith("MOT20") for part in path.absolute().parts)
         ignore = np.isin(label, _MOT20_DISTRACTORS if mot20 else _DISTRACTORS).astype(np.float64)
-        confidence = np.where(label == _PEDESTRIAN, confidence, 0.0)
+        confidence = np.where(label == PEDESTRIAN, confidence, 0.0)
     frame, identity = identified(table, *rules)
     order = np.argsort(frame, kind="stable")
     order = order[(confidence[order] != 0) | (ignore[order] != 0)]
@@ -130,7 +160,8 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
         table = table_of_text(Source(path, b"", Kind.IGNORED, 0), text)
     identity = table.get(Column.IDENTITY)
     enforce(table.origin, *box_rules(table), whole_number(identity, "identity", low=-1))
-    is_region = identity < 0
+    # UAVDT numbers the regions of its lists, which are called M0101_gt_ignore.txt.
+    is_region = (identity < 0) | path.stem.endswith("gt_ignore")
     distractors = table.select(~is_region)
     frame = distractors.get(Column.FRAME).astype(np.int64)
     rule = Rule(frame == 0, "a row with an identity needs a frame", frame)
@@ -153,7 +184,7 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
 
 
 def _regions(table: Table) -> F8:
-    """(R, 5) frame, left, top, right, bottom."""
+    """(R, 5) frame (0: all), left, top, right, bottom."""
     return np.column_stack([frames_of(table), table.xyxy()])
 
 

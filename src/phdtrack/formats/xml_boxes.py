@@ -29,6 +29,8 @@ def table_of_xml(source: Source) -> Table:
     """
     elements = read_xml(source.path, source.content)
     root = elements[0]
+    if source.conventions.first_frame is None:
+        source = source._replace(first=0)
     readers = {"annotations": _cvat_row, "dataset": _cvml_row}
     if root.name not in readers:
         raise InputError(
