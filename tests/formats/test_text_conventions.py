@@ -124,7 +124,7 @@ def test_columns_of_visdrone(tmp_path: Path) -> None:
     assert "VisDrone: category 0 is a region" in notices[0]
     assert (identities(truth), truth.distractor.tolist()) == ([1, 3, 4], [False, True, False])
     assert truth.regions.tolist() == [[2, 18, 0, 23, 5]]
-    assert list(by_class(path, notices=[])) == ["0", "1", "4", "11"]
+    assert list(by_class(path, notices=[])) == ["1", "4", "11"]
     assert read_tracks(path, notices=[]).identity.tolist() == [1, 4]
     assert read_detections(path).detections.class_id.tolist() == [4, 11, 1]
     results = put(tmp_path, "1,-1,0,0,5,5,0.4,4,-1,-1\n1,-1,9,0,5,5,0,9,-1,-1\n")

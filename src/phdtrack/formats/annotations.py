@@ -11,7 +11,7 @@ from phdtrack.files import load, read_xml
 from phdtrack.formats.coco import read_coco
 from phdtrack.formats.json_entry import brief
 from phdtrack.formats.read import first_characters
-from phdtrack.formats.xml_boxes import cvat_box
+from phdtrack.formats.xml_boxes import CVAT_SHAPES, cvat_box
 
 
 class AnnotationFile(NamedTuple):
@@ -65,8 +65,8 @@ def _read_coco(path: Path, content: bytes) -> AnnotationFile:
     coco = read_coco(path, content)
     names = {float(key): name for key, name in coco.names.items()}
     boxes = list[dict[str, Any]]()
-    for _, frame, entry in coco.boxes:
-        left, top, width, height = entry.box()
+    for _, frame, entry, ltwh in coco.boxes:
+        left, top, width, height = ltwh
         values = dict(entry.values)
         values["frame"] = frame
         values["xyxy"] = (left, top, left + width, top + height)
@@ -99,7 +99,7 @@ def _read_cvat(path: Path, content: bytes) -> AnnotationFile:
             pictures.append({**element.attributes, "frame": element.number("id")})
         elif element.name == "tag" and any(around.name == "image" for around in element.around):
             pictures[-1] |= more[id(element)]
-        elif element.name == "box" and element.attributes.get("outside") != "1":
+        elif element.name in CVAT_SHAPES and element.attributes.get("outside") != "1":
             track, frame, corners = cvat_box(element)
             values = more[id(track)] | more[id(element)]
             values["frame"] = frame

@@ -102,11 +102,13 @@ def read_truth_by_class(
         )
     label = table.get(Column.CLASS)
     enforce(table.origin, whole_number(label, "class"))
+    # Regions hold for objects of every class.
+    region = table.get(Column.REGION) != 0
     return {
         table.names.get(int(number), f"{number:.0f}"): _truth_of(
-            table.select(label == number), notices
+            table.select((label == number) | region), notices
         )
-        for number in np.unique(label)
+        for number in np.unique(label[~region])
     }
 
 

@@ -1,4 +1,4 @@
-"""Boxes in XML: CVML and CVAT.
+"""Boxes in XML: CVML, CVAT and UA-DETRAC.
 
 CVML is the format of CAVIAR's ground truth, in which the truth of PETS 2009 is written too:
 
@@ -10,59 +10,108 @@ skipped.
 
 CVAT has tracks, ``<annotations> <track id="1" label="car"> <box frame="0" outside="0" xtl=".."
 ytl=".." xbr=".." ybr=".."/>``, or images, ``<image id="0"> <box label="car" …/>``, whose boxes have
-no identities. Frames count from 0.
+no identities. Frames count from 0. Rotated boxes, polygons, ellipses, masks and cuboids are read as
+the upright boxes around them.
+
+UA-DETRAC has frames from 1, and regions to ignore that hold in all of them:
+
+    <sequence> <ignored_region> <box left=".." top=".." width=".." height=".."/> </ignored_region>
+    <frame num="1"> <target_list> <target id="1"> <box …/> <attribute vehicle_type="car"/> …
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from phdtrack.errors import InputError
 from phdtrack.files import Element, read_xml
-from phdtrack.formats.table import Source, Table, table_of_text
+from phdtrack.formats.hulls import Shapes, hull, rotated_hull
+from phdtrack.formats.table import Kind, Source, Table, table_of_text
 from phdtrack.formats.text import as_cell, text_of_rows
+
+CVAT_SHAPES = ("box", "polygon", "ellipse", "mask", "cuboid")
+# CVAT's other shapes, which are no areas.
+_OTHER_SHAPES = ("polyline", "points", "skeleton")
+_CUBOID = ("tl1", "bl1", "tr1", "br1", "tl2", "bl2", "tr2", "br2")
+
+
+class _Format(NamedTuple):
+    """A format: its name for ``--format``, its first frame, and the function that makes rows."""
+
+    name: str
+    first: int
+    rows: Callable[[Source, list[Element]], tuple[list[dict[str, str]], list[int]]]
 
 
 def table_of_xml(source: Source) -> Table:
-    """The boxes of the objects in a CVML or CVAT document. Raises `InputError` if it is neither, or
-    a box is malformed.
+    """The boxes of the objects in a CVML, CVAT or UA-DETRAC document. Raises `InputError` if it is
+    none of them, or a box is malformed.
     """
     elements = read_xml(source.path, source.content)
     root = elements[0]
-    if source.conventions.first_frame is None:
-        source = source._replace(first=0)
-    readers = {"annotations": _cvat_row, "dataset": _cvml_row}
-    if root.name not in readers:
+    formats = {
+        "annotations": _Format("cvat", 0, _cvat_rows),
+        "dataset": _Format("cvml", 0, _cvml_rows),
+        "sequence": _Format("detrac", 1, _detrac_rows),
+    }
+    if root.name not in formats:
         raise InputError(
             "expected CVML or CVAT, whose outermost element is <dataset> or <annotations>, got"
             f" <{root.name}>",
             where=root.where,
+            cure="UA-DETRAC, with <sequence>, is read, too.",
         )
-    rows = list[dict[str, str]]()
-    lines = list[int]()
-    for element in elements:
-        if element.name == "box":
-            row = readers[root.name](element)
-            if row:
-                rows.append(row)
-                lines.append(element.line)
+    found = formats[root.name]
+    if source.conventions.format not in ("", found.name):
+        raise InputError(
+            f"expected the format {source.conventions.format}, got {found.name}",
+            where=root.where,
+            cure="Leave out --format, or in Python format.",
+        )
+    if source.conventions.first_frame is None:
+        source = source._replace(first=found.first)
+    rows, lines = found.rows(source, elements)
     return table_of_text(source, text_of_rows(source.path, rows, lines))
 
 
 def cvat_box(box: Element) -> tuple[Element, float, tuple[float, ...]]:
-    """The track of a CVAT box, or the box itself if it has none; its frame from 0; its corners."""
+    """The track of a CVAT shape, or the shape itself if it has none; its frame from 0; the corners
+    of the upright box around it.
+    """
     around = _around(box)
     if "image" in around:
         frame = around["image"].number("id")
     else:
         frame = box.number("frame")
-    return around.get("track", box), frame, tuple(map(box.number, ("xtl", "ytl", "xbr", "ybr")))
+    return around.get("track", box), frame, _cvat_corners(box)
+
+
+def _cvat_rows(source: Source, elements: list[Element]) -> tuple[list[dict[str, str]], list[int]]:
+    """The rows of a CVAT document, and their lines. Shapes that are no boxes are reported."""
+    rows = list[dict[str, str]]()
+    lines = list[int]()
+    shapes = Shapes()
+    for element in elements:
+        outside = element.attributes.get("outside") == "1"
+        if outside or any(around.name == "skeleton" for around in element.around):
+            continue
+        if element.name in _OTHER_SHAPES:
+            shapes.left_out[element.name] += 1
+        if element.name in CVAT_SHAPES:
+            rows.append(_cvat_row(element))
+            lines.append(element.line)
+            if element.name != "box":
+                shapes.read[element.name] += 1
+            elif _rotation(element):
+                shapes.read["rotated box"] += 1
+    for sentence in shapes.sentences():
+        source.report(sentence)
+    return rows, lines
 
 
 def _cvat_row(box: Element) -> dict[str, str]:
-    """The cells of a CVAT box; empty if the object is outside of the image."""
-    if box.attributes.get("outside") == "1":
-        return {}
+    """The cells of a CVAT shape."""
     if not _around(box).keys() & {"track", "image"}:
         raise _misplaced(box, "<track> or <image>")
     track, frame, corners = cvat_box(box)
@@ -74,11 +123,56 @@ def _cvat_row(box: Element) -> dict[str, str]:
     return row
 
 
+def _cvat_corners(shape: Element) -> tuple[float, ...]:
+    """Left, top, right, bottom of the upright box around a CVAT shape."""
+    if shape.name == "polygon":
+        return _polygon_hull(shape)
+    if shape.name == "cuboid":
+        xs = [shape.number(f"x{corner}") for corner in _CUBOID]
+        ys = [shape.number(f"y{corner}") for corner in _CUBOID]
+        return hull(xs, ys)
+    if shape.name == "mask":
+        left, top, width, height = map(shape.number, ("left", "top", "width", "height"))
+        return left, top, left + width, top + height
+    if shape.name == "ellipse":
+        x, y, across, down = map(shape.number, ("cx", "cy", "rx", "ry"))
+        return rotated_hull(x - across, y - down, x + across, y + down, _rotation(shape))
+    left, top, right, bottom = map(shape.number, ("xtl", "ytl", "xbr", "ybr"))
+    return rotated_hull(left, top, right, bottom, _rotation(shape))
+
+
+def _rotation(shape: Element) -> float:
+    """Degrees by which a CVAT shape is rotated."""
+    if shape.attributes.get("rotation", "") == "":
+        return 0.0
+    return shape.number("rotation")
+
+
+def _polygon_hull(shape: Element) -> tuple[float, float, float, float]:
+    """The upright box around ``points="x,y;x,y;…"``."""
+    text = shape.attributes.get("points", "")
+    try:
+        points = [tuple(map(float, pair.split(","))) for pair in text.split(";")]
+    except ValueError:
+        points = []
+    if not points or any(len(point) != 2 for point in points):
+        raise InputError(
+            f"expected points as x,y;x,y for <{shape.name}>, got '{text[:40]}'", where=shape.where
+        )
+    return hull([point[0] for point in points], [point[1] for point in points])
+
+
+def _cvml_rows(source: Source, elements: list[Element]) -> tuple[list[dict[str, str]], list[int]]:
+    """The rows of a CVML document without the boxes of groups, and their lines."""
+    boxes = [
+        element for element in elements if element.name == "box" and "group" not in _around(element)
+    ]
+    return [_cvml_row(box) for box in boxes], [box.line for box in boxes]
+
+
 def _cvml_row(box: Element) -> dict[str, str]:
-    """The cells of a CVML box; empty if it is the box of a group."""
+    """The cells of a CVML box."""
     around = _around(box)
-    if "group" in around:
-        return {}
     if not around.keys() >= {"frame", "object"}:
         raise _misplaced(box, "<frame> and <object>")
     keys = (("cx", "xc"), ("cy", "yc"), ("width", "w"), ("height", "h"))
@@ -86,6 +180,36 @@ def _cvml_row(box: Element) -> dict[str, str]:
     row["frame"] = repr(around["frame"].number("number"))
     row["id"] = repr(around["object"].number("id"))
     return row
+
+
+def _detrac_rows(source: Source, elements: list[Element]) -> tuple[list[dict[str, str]], list[int]]:
+    """The rows of a UA-DETRAC document, and their lines; regions, of frame 0, for truth only."""
+    words = {
+        id(element.around[-1]): element.attributes["vehicle_type"]
+        for element in elements
+        if "vehicle_type" in element.attributes and element.around
+    }
+    rows = list[dict[str, str]]()
+    lines = list[int]()
+    for box in elements:
+        around = _around(box)
+        region = "ignored_region" in around
+        if box.name != "box" or (region and source.kind is not Kind.TRUTH):
+            continue
+        if not region and not around.keys() >= {"frame", "target"}:
+            raise _misplaced(box, "<frame> and <target>")
+        row = {name: repr(box.number(name)) for name in ("left", "top", "width", "height")}
+        row["frame"] = "0"
+        row["id"] = "-1"
+        row["class"] = "ignored"
+        row["region"] = str(int(region))
+        if not region:
+            row["frame"] = repr(around["frame"].number("num"))
+            row["id"] = repr(around["target"].number("id"))
+            row["class"] = as_cell(words.get(id(around["target"]), "")) or "vehicle"
+        rows.append(row)
+        lines.append(box.line)
+    return rows, lines
 
 
 def _around(box: Element) -> Mapping[str, Element]:
