@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -15,20 +15,20 @@ from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
 from phdtrack.errors import InputError
 from phdtrack.formats import (
-    find_seqinfo,
+    Conventions,
     ignoring,
     read_detections,
-    read_tracks,
     read_tracks_named,
-    read_truth,
     read_truth_by_class,
 )
+from phdtrack.formats.conventions import FORMATS
 from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.causes import FALSE, PLACES
 from phdtrack.report.pages import score_meanings
 from phdtrack.run import directory as rundir
-from phdtrack.run.requests import refuse
+from phdtrack.run.requests import conventions, frame_size, refuse
+from phdtrack.run.scored_files import ScoredFiles, ScoringRequest, last_frame, read_scored
 from phdtrack.types import I8, Tracks, Truth
 
 # The scores that a table shows, in its order: keys of `Scores.as_dict`.
@@ -45,6 +45,10 @@ BY_TRAJECTORY = (
     "TGOSPA_false",
     "TGOSPA_switching",
 )
+
+
+_FORMAT = f"Format of the truth, or TRUTH,TRACKS: {', '.join(FORMATS)}."
+_BOTH = "TRUTH,TRACKS for two values."
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +72,15 @@ class EvaluateOptions:
     worst: Annotated[
         int, option("N", "For --errors: how many objects and tracks are named.", min=0)
     ] = WORST
+    format: Annotated[str, option("NAME", _FORMAT)] = ""
+    first_frame: Annotated[str, option("0|1", f"Number of the first frame; {_BOTH}")] = ""
+    units: Annotated[str, option("pixels|shares", f"Units of the boxes; {_BOTH}")] = ""
+    box: Annotated[str, option("ltwh|ltrb", f"The numbers of a box; {_BOTH}")] = ""
+    sequence: given.Sequence = ""
+    frame_size: given.FrameSize = ""
+    labelled: Annotated[
+        str, option("LIST", "Score these frames alone: 1,11,21-30, a file, truth, or all.")
+    ] = ""
     max_file_size: given.MaxFileSize = ""
 
 
@@ -100,15 +113,15 @@ def evaluate(
     if part and part != "1-":
         missed = f"the run tracked the frames {part} alone, and objects of all others are missed"
         output.warn([f"{missed}: phdtrack track --truth scores those frames"])
+    request = ScoringRequest(
+        truth, tracks, _reading(asked), asked.ignore, asked.kitti, frames, asked.labelled
+    )
     if asked.per_class:
-        output.document(per_class(output, truth, tracks, asked, iou=iou, frames=frames))
+        output.document(per_class(output, request, asked, iou=iou))
         return
-    annotated = _counted(read_truth(truth, kitti=asked.kitti), asked)
-    found = read_tracks(tracks, kitti=asked.kitti)
-    frames = frames or _frames(truth, (annotated, found))
-    if not len(annotated):
-        output.warn([f"{truth}: the truth holds no object"])
-    scores = score(annotated, found, frames=frames, iou=iou)
+    files = read_scored(request)
+    output.warn(files.notices)
+    scores = score(files.truth, files.tracks, frames=files.frames, iou=iou)
     output.say(
         f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match"
         f" from IoU {iou:g}"
@@ -117,29 +130,54 @@ def evaluate(
     score_table(output, {"": scores})
     document: dict[str, object] = {**scores.as_dict()}
     if t_gospa:
-        document |= trajectory_scores(output, annotated, found, scores.frames)
+        document |= trajectory_scores(output, files.truth, files.tracks, scores.frames)
     if rmse:
-        document["RMSE"] = located_errors(output, annotated, found, rmse)
+        document["RMSE"] = located_errors(output, files.truth, files.tracks, rmse)
     if asked.errors:
-        detections = read_detections(asked.detections) if asked.detections else None
-        errors = explain(annotated, found, detections, frames=scores.frames, iou=iou)
-        error_tables(output, errors, asked.worst)
-        document["errors"] = errors.as_dict(asked.worst)
+        document["errors"] = _errors(output, files, asked, scores.frames, iou)
     output.document(document)
 
 
-def _counted(truth: Truth, asked: EvaluateOptions) -> Truth:
-    """The truth outside of the regions that do not count."""
-    if asked.ignore is None:
-        return truth
-    return ignoring(truth, asked.ignore)
+def _errors(
+    output: Output, files: ScoredFiles, asked: EvaluateOptions, frames: int, iou: float
+) -> dict[str, object]:
+    """Misses and false boxes by cause, in tables and for JSON."""
+    detections = None
+    if asked.detections and len(files.labelled):
+        problem = "the causes of misses need all frames, and only labelled ones are scored"
+        raise InputError(problem, where="--detections", cure="Leave it out, or --labelled.")
+    if asked.detections:
+        notices = list[str]()
+        detections = read_detections(asked.detections, notices=notices)
+        output.warn(notices)
+    errors = explain(files.truth, files.tracks, detections, frames=frames, iou=iou)
+    error_tables(output, errors, asked.worst)
+    return errors.as_dict(asked.worst)
 
 
-def _frames(truth: Path, boxes: Iterable[Truth | Tracks]) -> int:
-    """The number of frames: that of seqinfo.ini, or the last with a box."""
-    last = max(int(one.frame.max(initial=0)) for one in boxes)
-    known = find_seqinfo(truth)
-    return max(last, known.frames if known else 0)
+def _reading(asked: EvaluateOptions) -> tuple[Conventions, Conventions]:
+    """The conventions of the truth and of the tracks. Raises `InputError` for unknown words."""
+    size = frame_size(asked.frame_size) if asked.frame_size else (0, 0)
+    names = _two(asked.format, "--format", alone=True)
+    starts = _two(asked.first_frame, "--first-frame")
+    units = _two(asked.units, "--units")
+    boxes = _two(asked.box, "--box")
+    first, second = (
+        conventions(names[k], starts[k], units[k], boxes[k], asked.sequence, size) for k in (0, 1)
+    )
+    return first, second
+
+
+def _two(text: str, where: str, *, alone: bool = False) -> tuple[str, str]:
+    """The words for truth and tracks from TRUTH,TRACKS, or one word for both; for the truth if it
+    stands ``alone``.
+    """
+    first, comma, second = text.partition(",")
+    if "," in second:
+        raise InputError(f"expected one word, or TRUTH,TRACKS, got {text!r}", where=where)
+    if comma or alone:
+        return first, second
+    return first, first
 
 
 def trajectory_scores(
@@ -156,16 +194,21 @@ def trajectory_scores(
 
 
 def per_class(
-    output: Output, truth: Path, tracks: Path, asked: EvaluateOptions, *, iou: float, frames: int
+    output: Output, request: ScoringRequest, asked: EvaluateOptions, *, iou: float
 ) -> dict[str, object]:
     """Scores of each class of the truth and of the tracks, in a table and for JSON."""
-    if asked.kitti or asked.errors:
+    if asked.kitti or asked.errors or asked.labelled:
         raise InputError(
-            "it does not go with --kitti or --errors", where="--per-class", cure="Leave one out."
+            "it does not go with --kitti, --errors or --labelled",
+            where="--per-class",
+            cure="Leave one out.",
         )
-    annotated = read_truth_by_class(truth)
-    found, names = read_tracks_named(tracks)
-    frames = frames or _frames(truth, (found, *annotated.values()))
+    of_truth, of_tracks = request.reading
+    notices = list[str]()
+    annotated = read_truth_by_class(request.truth, conventions=of_truth, notices=notices)
+    found, names = read_tracks_named(request.tracks, conventions=of_tracks, notices=notices)
+    every = max(annotated.values(), key=lambda one: one.frame.max(initial=0), default=NO_TRUTH)
+    frames = last_frame(request, every, found, notices)
     label = np.array([names.get(one, str(one)).lower() for one in found.class_id.tolist()], np.str_)
     words = {one: one for one in label.tolist()} | {
         name.lower(): name for name in (*names.values(), *annotated)
@@ -173,12 +216,15 @@ def per_class(
     scores = {}
     for word, name in words.items():
         objects = next((one for key, one in annotated.items() if key.lower() == word), NO_TRUTH)
-        objects = _counted(objects, asked)
+        if asked.ignore is not None:
+            objects = ignoring(objects, asked.ignore)
         own = found.select(label == word)
         if len(own) or len(objects):
             scores[name] = score(objects, own, frames=frames, iou=iou)
+    output.warn(dict.fromkeys(notices))
     output.say(
-        f"{tracks} against {truth}: {frames} frames, each class on its own, match from IoU {iou:g}",
+        f"{request.tracks} against {request.truth}: {frames} frames, each class on its own, match"
+        f" from IoU {iou:g}",
         "",
     )
     score_table(output, scores)

@@ -66,6 +66,9 @@ Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos to
 _VIDEO_SIZE = "Longer side of annotated.mp4 in pixels at most; 0: that of the source."
 VideoSize = Annotated[int, option("N", _VIDEO_SIZE, min=0)]
 FrameSize = Annotated[str, option("WxH", "Size of the frames in pixels, as 1920x1080.")]
+Sequence = Annotated[
+    str, option("NAME", "The video to read of a COCO file with several; all: as one.")
+]
 Fps = Annotated[
     float, option("F", "Frames per second; 0: those of the video or of seqinfo.ini.", min=0.0)
 ]

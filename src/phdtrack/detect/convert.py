@@ -226,7 +226,8 @@ def within_frame(
     InputError : all boxes are outside, or they look like shares of the frame's size, like corners
         in place of sizes, or like scores in place of heights.
     """
-    _check_units(table, info, path)
+    found = table.detections
+    check_units(found.xyxy, found.confidence, (info.width, info.height), path)
     sentences = list[str]()
     if table.empty:
         sentences.append(
@@ -254,30 +255,41 @@ def within_frame(
     return inside, tuple(sentences)
 
 
-def _check_units(table: DetectionTable, info: SequenceInfo, path: Path) -> None:
-    """Raise `InputError` if the columns of a file seem to have been misread."""
-    if not len(table):
+def check_units(xyxy: F8, confidence: F8, size: tuple[int, int], path: Path) -> None:
+    """Raise `InputError` if the columns of a file seem to have been misread.
+
+    Parameters
+    ----------
+    xyxy : (M, 4) boxes as they were read.
+    confidence : (M,) their scores.
+    size : width and height of the frames, pixels.
+    path : the file, for messages.
+    """
+    if not len(xyxy):
         return
-    left, top, right, bottom = table.detections.xyxy.T
-    if table.detections.xyxy.max() <= _MAX_SHARE < min(info.width, info.height):
+    left, top, right, bottom = xyxy.T
+    if xyxy.max() <= _MAX_SHARE < min(size):
         raise InputError(
-            unit_warning(table.detections, (info.width, info.height)),
+            unit_warning(Detections.of(xyxy), size),
             where=path,
-            cure="Multiply them by the frame's width and height.",
+            cure="Say --units shares, or multiply them by the frame's width and height.",
         )
-    if len(table) < _MIN_BOXES:
+    if len(xyxy) < _MIN_BOXES:
         return
-    beyond = (right > info.width) | (bottom > info.height)
+    beyond = (right > size[0]) | (bottom > size[1])
     corners = (right - left > left) & (bottom - top > top)
     if beyond.mean() > _MIN_BEYOND and corners.mean() > _MIN_CORNERS:
         raise InputError(
-            f"{beyond.sum()} of {len(table)} boxes exceed the frame of"
-            f" {info.width}x{info.height} pixels; perhaps corners were read as sizes",
+            f"{beyond.sum()} of {len(xyxy)} boxes exceed the frame of"
+            f" {size[0]}x{size[1]} pixels; perhaps corners were read as sizes",
             where=path,
-            cure="Name the columns in a header line: frame, left, top, right, bottom, score.",
+            cure=(
+                "Say --box ltrb, or name the columns in a header line: frame, left, top, right,"
+                " bottom, score."
+            ),
         )
     height = bottom - top
-    scored = (table.detections.confidence != 1).any()
+    scored = (confidence != 1).any()
     if height.max() <= 1 and np.ptp(height) > 0 and not scored:
         raise InputError(
             f"no box is higher than {height.max():.3g} pixels and none has a score; perhaps a score"

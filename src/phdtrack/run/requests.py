@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from phdtrack.errors import InputError
+from phdtrack.formats.conventions import Conventions
 
 DEFAULT_DETECTOR = "change"
 CHECKPOINT_EVERY = 10.0
@@ -141,6 +142,28 @@ def for_name(request: T, name: str) -> T:
         }
         return replace(request, **values)
     return request
+
+
+def conventions(
+    format_name: str,
+    first_frame: str,
+    units: str,
+    box: str,
+    sequence: str = "",
+    size: tuple[int, int] = (0, 0),
+) -> Conventions:
+    """How a file is to be read, of the words of options. Raises `InputError` for unknown words.
+
+    Parameters
+    ----------
+    format_name, first_frame, units, box, sequence : as the fields of `Conventions`, empty for what
+        the content decides.
+    size : width and height of the frames, pixels; (0, 0) if unknown.
+    """
+    if first_frame not in ("", "0", "1"):
+        raise InputError(f"expected 0 or 1, got {first_frame!r}", where="--first-frame")
+    number = int(first_frame) if first_frame else None
+    return Conventions(format_name, number, units, box, sequence, size)
 
 
 def refuse(unused: Mapping[str, Any], problem: str, instead: str) -> None:

@@ -1,0 +1,217 @@
+"""The two files of `phdtrack evaluate`: read, checked against each other, and cut to the frames
+that are scored."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from phdtrack.arrays import intersection
+from phdtrack.detect.convert import check_units
+from phdtrack.errors import InputError
+from phdtrack.files import load
+from phdtrack.formats import (
+    Conventions,
+    find_seqinfo,
+    ignoring,
+    read_tracks,
+    read_truth,
+)
+from phdtrack.formats.conventions import ALL
+from phdtrack.metrics.agreement import other_reading
+from phdtrack.metrics.labelled import in_frames, keyframe_doubt, regularly_labelled
+from phdtrack.types import F8, I8, LAST_FRAME, Tracks, Truth
+
+# The word for the frames in which the truth has rows.
+_OF_TRUTH = "truth"
+_MAX_LISTED = 10_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class ScoringRequest:
+    """What to score.
+
+    Attributes
+    ----------
+    truth, tracks : the files.
+    reading : the conventions of the truth, and of the tracks.
+    ignore : file of what does not count.
+    kitti : type of objects in KITTI files.
+    frames : number of frames; 0: that of seqinfo.ini, or the last with a box.
+    labelled : frames that are scored, as 1,11,21-30, a file of such numbers, ``truth`` for those
+        with objects, or ``all``; empty: by evidence.
+    """
+
+    truth: Path
+    tracks: Path
+    reading: tuple[Conventions, Conventions] = (Conventions(), Conventions())
+    ignore: Path | None = None
+    kitti: str = ""
+    frames: int = 0
+    labelled: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredFiles:
+    """Truth and tracks to score, the number of frames, and sentences about doubts.
+
+    ``labelled`` are the numbers in the files of the frames that are scored; empty for all.
+    """
+
+    truth: Truth
+    tracks: Tracks
+    frames: int
+    notices: list[str]
+    labelled: I8
+
+
+def read_scored(request: ScoringRequest) -> ScoredFiles:
+    """Read truth and tracks. Raises `InputError` if one is missing or malformed, or its boxes
+    cannot be in pixels.
+    """
+    notices = list[str]()
+    of_truth, of_tracks = request.reading
+    truth = read_truth(request.truth, kitti=request.kitti, conventions=of_truth, notices=notices)
+    tracks = read_tracks(
+        request.tracks, kitti=request.kitti, conventions=of_tracks, notices=notices
+    )
+    _check_boxes(request, truth, tracks)
+    if not len(truth):
+        notices.append(f"{request.truth}: the truth holds no object")
+    if not len(tracks):
+        notices.append(f"{request.tracks}: the file holds no track")
+    notices += filter(None, [other_reading(truth, tracks)])
+    if request.ignore is not None:
+        truth = counted(truth, tracks, request.ignore, notices)
+    labelled = _labelled(request, truth, tracks, notices)
+    if len(labelled):
+        truth, tracks = in_frames(truth, tracks, labelled)
+        return ScoredFiles(truth, tracks, len(labelled), notices, labelled)
+    frames = last_frame(request, truth, tracks, notices)
+    return ScoredFiles(truth, tracks, frames, notices, labelled)
+
+
+def counted(truth: Truth, tracks: Tracks, ignore: Path, notices: list[str]) -> Truth:
+    """The truth with the regions and objects of a list that do not count; reports a list that
+    touches no box.
+
+    Parameters
+    ----------
+    truth, tracks : annotated objects, and the tracks to score.
+    ignore : the list.
+    notices : receives the sentence.
+    """
+    no_rows = Truth(truth.frame[:0], truth.identity[:0], truth.xyxy[:0], truth.distractor[:0])
+    listed = ignoring(no_rows, ignore)
+    places = np.vstack([np.column_stack([listed.frame, listed.xyxy]), listed.regions])
+    frame = np.concatenate([truth.frame, tracks.frame])
+    xyxy = np.vstack([truth.xyxy, tracks.xyxy])
+    if not len(places):
+        notices.append(f"{ignore}: the list is empty")
+    elif not _touch(places, frame, xyxy):
+        notices.append(
+            f"{ignore}: none of the {len(places)} rows touches a box of its frame: are they in"
+            " pixels, and do their frames count from 1?"
+        )
+    return ignoring(truth, ignore)
+
+
+def _touch(places: F8, frame: I8, xyxy: F8) -> bool:
+    """True if one of the places (R, 5), frame (0: all) and box, overlaps a box of its frame."""
+    order = np.argsort(frame, kind="stable")
+    frame = frame[order]
+    xyxy = xyxy[order]
+    for number in np.unique(places[:, 0]):
+        begin, end = (0, len(frame))
+        if number:
+            begin, end = np.searchsorted(frame, [number, number + 1])
+        boxes = places[places[:, 0] == number, 1:]
+        if any((intersection(xyxy[begin:end], box[None]) > 0).any() for box in boxes):
+            return True
+    return False
+
+
+def _check_boxes(request: ScoringRequest, truth: Truth, tracks: Tracks) -> None:
+    """Raise `InputError` if the boxes of a file cannot be in pixels of frames of known size."""
+    size = request.reading[0].frame_size
+    if not min(size):
+        info = find_seqinfo(request.truth)
+        size = (info.width, info.height) if info else (0, 0)
+    if min(size) <= 0:
+        return
+    check_units(truth.xyxy, np.ones(len(truth)), size, request.truth)
+    check_units(tracks.xyxy, tracks.confidence, size, request.tracks)
+
+
+def last_frame(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: list[str]) -> int:
+    """The number of frames: the user's, that of seqinfo.ini, or the last with a box. Reports rows
+    after the end.
+
+    Parameters
+    ----------
+    request : the files, and the number that the user gives.
+    truth, tracks : annotated objects, and the tracks to score.
+    notices : receives the sentence.
+    """
+    annotated = int(truth.frame.max(initial=0))
+    info = find_seqinfo(request.truth)
+    known = request.frames or (info.frames if info else 0)
+    end = request.frames or max(annotated, known)
+    after = int((tracks.frame > (end if known else annotated)).sum())
+    where = f"{request.tracks}: {after} of {len(tracks)} rows lie after frame"
+    if known and after:
+        notices.append(f"{where} {end}, the end of the sequence, and do not count")
+    elif after and annotated:
+        notices.append(
+            f"{where} {annotated}, the last with an object, and count as false: --frames"
+            f" {annotated} leaves them out"
+        )
+    if known:
+        return end
+    return max(annotated, int(tracks.frame.max(initial=0)))
+
+
+def _labelled(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: list[str]) -> I8:
+    """The frames that are scored; empty for all."""
+    none: I8 = np.zeros(0, np.int64)
+    if request.labelled == ALL:
+        return none
+    if request.labelled == _OF_TRUTH:
+        return np.unique(truth.frame)
+    if request.labelled:
+        return frame_numbers(request.labelled)
+    if request.frames:
+        return none
+    found = regularly_labelled(truth, tracks)
+    if len(found):
+        notices.append(
+            f"{request.truth}: objects are annotated in every {found[1] - found[0]}th frame alone,"
+            f" and only these {len(found)} frames are scored: --labelled all scores all"
+        )
+    else:
+        notices += filter(None, [keyframe_doubt(truth, tracks)])
+    return found
+
+
+def frame_numbers(text: str) -> I8:
+    """Ascending frame numbers from text as ``1,11,21-30``, or from a file of such numbers. Raises
+    `InputError` for other text.
+    """
+    where = "--labelled"
+    if not re.fullmatch(r"[\d\s,;-]+", text):
+        where = text
+        text = load(Path(text)).decode("utf-8", "replace")
+    numbers = list[int]()
+    for word in re.split(r"[\s,;]+", text.strip()):
+        match = re.fullmatch(r"(\d{1,11})(?:-(\d{1,11}))?", word)
+        first = int(match[1]) if match else 0
+        last = int(match[2] or first) if match else 0
+        if not 1 <= first <= last <= LAST_FRAME or len(numbers) + last - first > _MAX_LISTED:
+            raise InputError(
+                f"expected frame numbers from 1 as 1,11,21-30, got {word[:40]!r}", where=where
+            )
+        numbers += range(first, last + 1)
+    return np.unique(np.array(numbers, np.int64))
