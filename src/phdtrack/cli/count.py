@@ -18,12 +18,13 @@ from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.track import command_line, run_and_print
 from phdtrack.clock import Clock
+from phdtrack.detect.convert import check_units
 from phdtrack.errors import InputError, shown
 from phdtrack.files import read_toml, write_text
-from phdtrack.formats import read_detections
+from phdtrack.formats import Conventions, read_detections
 from phdtrack.live.counting import HEAD, CountObserver
 from phdtrack.live.events import Watch
-from phdtrack.live.zones import Place, places_of
+from phdtrack.live.zones import Place, places_of, refuse_shares
 from phdtrack.report.pages import render
 from phdtrack.run import directory as rundir
 from phdtrack.run.directory import RunDirectory, RunTracks
@@ -135,10 +136,15 @@ def _count_known(
     video: bool,
 ) -> None:
     """Count among the tracks of a run or of a file."""
-    known = rundir.read_run_tracks(path)
+    notices = list[str]()
+    known = rundir.read_run_tracks(path, _reading(source), notices)
     address = source.source or known.source
     pictures = _pictures(address, source, known.info.fps)
     info = _sequence(known, pictures, source, path)
+    if not rundir.is_run(path) and min(info.width, info.height) > 0:
+        size = (info.width, info.height)
+        check_units(known.tracks.xyxy, known.tracks.confidence, size, path)
+    output.warn(notices)
     directory = _counts_directory(path, source, to)
     observer = CountObserver(
         *(replace(watch, names=known.names), info, pictures, to.blur, known.first),
@@ -177,6 +183,7 @@ def _count_known(
 def _refuse_tracking(source: SourceRequest, options: TrackingRequest, path: Path) -> None:
     """Raise `InputError` for options of tracking: there is nothing to track."""
     used = asdict(replace(source, source="", fps=0.0, frame_size="", on_error=""))
+    del used["reading"]
     used |= asdict(options)
     words = {"filter_name": "filter", "sets": "set"}
     problem = f"the tracks come from {path}: nothing is tracked"
@@ -185,6 +192,15 @@ def _refuse_tracking(source: SourceRequest, options: TrackingRequest, path: Path
         problem,
         str(path),
     )
+
+
+def _reading(source: SourceRequest) -> Conventions:
+    """How a file of tracks is to be read; boxes in shares get the size of the video."""
+    size = frame_size(source.frame_size) if source.frame_size else (0, 0)
+    if source.source and source.reading.units == "shares":
+        info = open_source(source.source).info
+        size = (info.width, info.height)
+    return source.reading.conventions(size)
 
 
 def _pictures(address: str, source: SourceRequest, fps: float) -> VideoSource | None:
@@ -293,6 +309,7 @@ def _places(asked: CountOptions) -> tuple[Place, ...]:
     if not places:
         cure = "Say --line NAME=x1,y1,x2,y2, --zone NAME=x1,y1,x2,y2,x3,y3,… or --places FILE."
         raise InputError("no line or zone given", where="phdtrack count", cure=cure)
+    refuse_shares(places)
     return tuple(places)
 
 

@@ -27,7 +27,7 @@ from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.causes import FALSE, PLACES
 from phdtrack.report.pages import score_meanings
 from phdtrack.run import directory as rundir
-from phdtrack.run.requests import conventions, frame_size, refuse
+from phdtrack.run.requests import ReadingRequest, frame_size, refuse
 from phdtrack.run.scored_files import ScoredFiles, ScoringRequest, last_frame, read_scored
 from phdtrack.types import I8, Tracks, Truth
 
@@ -163,9 +163,9 @@ def _reading(asked: EvaluateOptions) -> tuple[Conventions, Conventions]:
     units = _two(asked.units, "--units")
     boxes = _two(asked.box, "--box")
     first, second = (
-        conventions(names[k], starts[k], units[k], boxes[k], asked.sequence, size) for k in (0, 1)
+        ReadingRequest(names[k], starts[k], units[k], boxes[k], asked.sequence) for k in (0, 1)
     )
-    return first, second
+    return first.conventions(size), second.conventions(size)
 
 
 def _two(text: str, where: str, *, alone: bool = False) -> tuple[str, str]:

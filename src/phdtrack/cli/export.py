@@ -12,11 +12,13 @@ import typer
 from phdtrack.cli import options as given
 from phdtrack.cli.options import listed, one_of, option
 from phdtrack.cli.output import Output, counted
+from phdtrack.detect.convert import check_units
 from phdtrack.errors import InputError
 from phdtrack.formats import EXPORTS, export_tracks
 from phdtrack.run import directory as rundir
-from phdtrack.run.requests import frame_size
+from phdtrack.run.requests import ReadingRequest, frame_size
 
+_BY_EVIDENCE = ReadingRequest()
 _TO = f"Format: {', '.join(EXPORTS)}."
 
 
@@ -39,14 +41,20 @@ def export(
     ] = None,
     overwrite: given.Overwrite = False,
     size: given.FrameSize = "",
+    reading: ReadingRequest = _BY_EVIDENCE,
 ) -> None:
     """Write the tracks of a run, or of a file, in the format of another tool: MOTChallenge, CSV,
     COCO, CVAT, and others.
 
     phdtrack reads all of these as a file of tracks, of detections or of truth.
     """
-    found = rundir.read_run_tracks(run)
-    width, height = frame_size(size) if size else (found.info.width, found.info.height)
+    stated = frame_size(size) if size else (0, 0)
+    notices = list[str]()
+    found = rundir.read_run_tracks(run, reading.conventions(stated), notices)
+    output.warn(notices)
+    width, height = stated if size else (found.info.width, found.info.height)
+    if not rundir.is_run(run) and min(width, height) > 0:
+        check_units(found.tracks.xyxy, found.tracks.confidence, (width, height), run)
     folder, stem = (run, "tracks") if run.is_dir() else (run.parent, run.stem)
     path = out or folder / f"{stem}_{to}{EXPORTS[to]}"
     if path.name == "-":

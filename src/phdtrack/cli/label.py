@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import shlex
 import webbrowser
-from dataclasses import fields
+from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -176,6 +176,8 @@ def _learn_command(source: SourceRequest, labels: Path, more: dict[str, Any]) ->
         for field in fields(source)
         if getattr(source, field.name) != getattr(default, field.name)
     }
+    values.pop("reading", None)
+    values |= {name: value for name, value in asdict(source.reading).items() if value}
     values["labels"] = labels
     values |= {name: value for name, value in more.items() if value}
     words = ["phdtrack", "learn", *filter(None, [source.source])]

@@ -17,7 +17,14 @@ from typing import Annotated, Any
 import typer
 
 from phdtrack.files import SIZE_LIMIT
-from phdtrack.run.requests import OutputRequest, RunRequest, SourceRequest, TrackingRequest
+from phdtrack.formats.conventions import FORMATS
+from phdtrack.run.requests import (
+    OutputRequest,
+    ReadingRequest,
+    RunRequest,
+    SourceRequest,
+    TrackingRequest,
+)
 
 
 def option(metavar: str, help: str, *name: str, **more: Any) -> Any:
@@ -179,6 +186,8 @@ _MOST = (
 )
 MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
 
+_FORMAT = f"Format of the file of detections or tracks: {', '.join(FORMATS)}."
+
 # How the fields of the requests of `phdtrack.run` are given on the command line.
 REQUESTS: dict[type[Any], dict[str, Any]] = {
     SourceRequest: {
@@ -191,6 +200,15 @@ REQUESTS: dict[type[Any], dict[str, Any]] = {
         "mask": Mask,
         "on_error": OnError,
         "detect_again": DetectAgain,
+    },
+    ReadingRequest: {
+        "format": Annotated[str, option("NAME", _FORMAT, autocompletion=listed(_FORMAT))],
+        "first_frame": Annotated[str, option("0|1", "Number of that file's first frame.")],
+        "units": Annotated[str, option("pixels|shares", "Units of that file's boxes.")],
+        "box": Annotated[
+            str, option("ltwh|ltrb", "Its boxes: left, top, then width, height or right, bottom.")
+        ],
+        "sequence": Sequence,
     },
     TrackingRequest: {
         "filter_name": Filter,

@@ -64,7 +64,7 @@ def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list
             " folder.",
         )
     info = find_seqinfo(word)
-    last = 0 if truth is None else int(read_truth(truth).frame.max(initial=0))
+    last = 0 if truth is None else int(read_truth(truth, notices=[]).frame.max(initial=0))
     decoded = None
     if source and (detectors or info is None):
         video = open_source(source)
@@ -127,7 +127,8 @@ def is_file(name: str) -> bool:
 
 def _info(word: str, file: Path, known: SequenceInfo | None, last: int) -> SequenceInfo:
     """Size, rate and length, up to the last frame that is known, detected or annotated."""
-    table = read_detections(file)
+    # What is guessed is reported by the runs.
+    table = read_detections(file, notices=[])
     if known is None:
         raise InputError(
             "size and rate of the frames are unknown",

@@ -401,11 +401,16 @@ def run_input(run: Run, kept: Path) -> RunInput:
         info = replace(info, frames=last)
         table = _table(frames)
     else:
-        table, warnings = within_frame(read_detections(case.file), info, case.file)
+        notices = list[str]()
+        found = read_detections(case.file, notices=notices)
+        table, sentences = within_frame(found, info, case.file)
+        warnings = (*notices, *sentences)
         names = table.names
         numbers = frames_walked(table, info.frames, info.fps)
         frames = list(table_frames(table, numbers, _clock(case.source, info.fps)))
-    truth = read_truth(case.truth) if case.truth else None
+    told = list[str]()
+    truth = read_truth(case.truth, notices=told) if case.truth else None
+    warnings = (*warnings, *told)
     if run.rate:
         table = _with_clutter(run, info, table, truth)
         frames = [one._replace(detections=table.at(one.frame.number)) for one in frames]

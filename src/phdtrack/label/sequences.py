@@ -26,7 +26,13 @@ from phdtrack.label.samples import LONGEST
 from phdtrack.label.suggestions import Evidence, Suggestion, suggest
 from phdtrack.multiclass import ClassSettings
 from phdtrack.run.detection_log import source_of
-from phdtrack.run.inputs import Inputs, open_inputs, readable_again, write_detected
+from phdtrack.run.inputs import (
+    Inputs,
+    open_inputs,
+    read_request_detections,
+    readable_again,
+    write_detected,
+)
 from phdtrack.run.loop import NO_PICTURE
 from phdtrack.run.pipeline_threads import ahead
 from phdtrack.run.reporter import SILENT, Reporter
@@ -92,10 +98,12 @@ def open_sequence(
     wrong = None
     if source.on_error != "stop":
         wrong = MalformedRows()
-    path = source.detections
-    if path is None:
+    if source.detections is None:
         path = _kept_detections(source, parameters, labels, inputs, reporter)
-    table = read_detections(path, left_out=wrong)
+        table = read_detections(path, left_out=wrong)
+    else:
+        # What was guessed is among the warnings of the inputs.
+        table = read_request_detections(source, wrong, [])
     if len(table) == 0:
         raise InputError("there are no detections to label", where=inputs.name)
     # The number of frames is not known of detections alone, and of some videos.

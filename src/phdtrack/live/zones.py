@@ -35,6 +35,8 @@ Anchor = Literal["feet", "centre"]
 ANCHORS: tuple[Anchor, ...] = ("feet", "centre")
 # Pixels below which two points are the same: the square of a smaller distance may be 0.
 _SAME = 1e-3
+# Points in shares of the frame's size do not exceed this number.
+_MAX_SHARE = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,11 +113,33 @@ class Place:
         return inside
 
 
+def refuse_shares(places: Sequence[Place]) -> None:
+    """Raise `InputError` if the points of a place seem to be shares of the frame's size.
+
+    Parameters
+    ----------
+    places : lines and zones.
+    """
+    for place in places:
+        largest = max(max(point) for point in place.points)
+        least = min(min(point) for point in place.points)
+        if least >= 0 and largest <= _MAX_SHARE:
+            kind = "zone" if place.closed else "line"
+            raise InputError(
+                f"no coordinate exceeds {largest:.3g}: points must be in pixels of the video, not"
+                " in shares of its size",
+                where=f"{kind} {place.name!r}",
+                cure="Multiply them by the frame's width and height.",
+            )
+
+
 def read_places(path: Path) -> tuple[Place, ...]:
     """The lines and zones of a TOML file. Raises `InputError` if it is none, or a place cannot be
     used.
     """
-    return places_of(read_toml(path), str(path))
+    places = places_of(read_toml(path), str(path))
+    refuse_shares(places)
+    return places
 
 
 def write_places(path: Path, places: Sequence[Place]) -> None:

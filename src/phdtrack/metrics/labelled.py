@@ -24,11 +24,23 @@ def regularly_labelled(truth: Truth, tracks: Tracks) -> I8:
     truth, tracks : annotated objects, and the tracks to score.
     """
     frames: I8 = np.unique(truth.frame)
-    steps = np.diff(frames)
-    regular = len(frames) >= _FEWEST and steps[0] > 1 and (steps == steps[0]).all()
-    if regular and len(_between(frames, tracks)):
+    if regular_step(truth) > 1 and len(_between(frames, tracks)):
         return frames
     return frames[:0]
+
+
+def regular_step(truth: Truth) -> int:
+    """The distance between any two frames with objects that follow each other; 0 if they differ, or
+    there are few.
+
+    Parameters
+    ----------
+    truth : annotated objects.
+    """
+    steps = np.diff(np.unique(truth.frame))
+    if len(steps) >= _FEWEST - 1 and (steps == steps[0]).all():
+        return int(steps[0])
+    return 0
 
 
 def keyframe_doubt(truth: Truth, tracks: Tracks) -> str:

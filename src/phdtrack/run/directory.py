@@ -21,7 +21,8 @@ import numpy as np
 from phdtrack.clock import Clock
 from phdtrack.errors import InputError, needed
 from phdtrack.files import load, part_of, read_json
-from phdtrack.formats import find_seqinfo, read_tracks_named
+from phdtrack.formats import Conventions, find_seqinfo, read_tracks_named
+from phdtrack.formats.conventions import BY_EVIDENCE
 from phdtrack.types import SequenceInfo, Tracks
 
 try:
@@ -111,12 +112,22 @@ def part_of_run(path: Path) -> str:
     return ""
 
 
-def read_run_tracks(path: Path) -> RunTracks:
+def read_run_tracks(
+    path: Path, conventions: Conventions = BY_EVIDENCE, notices: list[str] | None = None
+) -> RunTracks:
     """The corrected tracks in the directory of a run, or those in a file. Raises `InputError` if
     they cannot be read.
+
+    Parameters
+    ----------
+    path : the directory or the file.
+    conventions : how the file is to be read.
+    notices : receives sentences about guesses; None: they are logged.
     """
     run = (path if path.is_dir() else path.parent) / RUN
-    tracks, names = read_tracks_named(path / TRACKS if is_run(path) else path)
+    tracks, names = read_tracks_named(
+        path / TRACKS if is_run(path) else path, conventions=conventions, notices=notices
+    )
     info = find_seqinfo(path) or SequenceInfo(0, 0, 0.0)
     source = ""
     first = 1

@@ -195,6 +195,8 @@ def _open_stream(request: SourceRequest) -> Inputs:
         "--detect-again": request.detect_again,
     }
     refuse(unused, "detections from standard input have no pictures", "--detections -")
+    stated = request.reading.options()
+    refuse(stated, "standard input is MOTChallenge or CSV in pixels", "--detections -")
     skipping = {"--on-error": request.on_error == "skip"}
     refuse(skipping, "a malformed row of a stream ends it", "--detections -")
     needed = {"--frame-size WxH": request.frame_size, "--fps F": request.fps}
@@ -209,6 +211,7 @@ def _open_stream(request: SourceRequest) -> Inputs:
 
 def _open_video(request: SourceRequest, parameters: Mapping[str, Any], part: FrameRange) -> Inputs:
     """A video or a camera, and a detector."""
+    refuse(request.reading.options(), "there is no file of detections", "say --detections")
     # Wrong settings are found before anything is opened.
     _detector(request, parameters, request.max_width or 0)
     source = _frames(request, part)
@@ -242,13 +245,15 @@ def _open_table(request: SourceRequest, path: Path, last: int, part: FrameRange)
     wrong = None
     if request.on_error != "stop":
         wrong = MalformedRows()
-    table = read_detections(path, left_out=wrong)
+    notices = list[str]()
+    table = read_request_detections(request, wrong, notices)
     if request.source:
         frames = _frames(request, part)
     else:
         frames = _blank_frames(request, path, table, last)
     frames.first, frames.last = part
-    usable, warnings = within_frame(table, frames.info, path)
+    usable, sentences = within_frame(table, frames.info, path)
+    warnings = (*notices, *sentences)
     latest = int(usable.frame.max(initial=0))
     classes = frozenset(np.unique(usable.detections.class_id).tolist())
     inputs = Inputs(
@@ -269,6 +274,34 @@ def _open_table(request: SourceRequest, path: Path, last: int, part: FrameRange)
     if usable.names or classes - {0}:
         inputs = replace(inputs, names=usable.names, classes=classes)
     return inputs
+
+
+def read_request_detections(
+    request: SourceRequest, left_out: MalformedRows | None, notices: list[str]
+) -> DetectionTable:
+    """The detections in the file that a request names. Raises `InputError` if it is malformed.
+
+    Parameters
+    ----------
+    request : the file, and how it is to be read.
+    left_out : counts malformed rows, which are then skipped; None: they are errors.
+    notices : receives sentences about guesses.
+    """
+    assert request.detections is not None
+    reading = request.reading
+    size = frame_size(request.frame_size) if request.frame_size else (0, 0)
+    if request.source and reading.units == "shares":
+        info = _frames(request, WHOLE).info
+        size = (info.width, info.height)
+    if request.source and not reading.sequence:
+        # Of a file with several videos, the one of this name is read.
+        reading = replace(reading, sequence=Path(request.source).stem)
+    return read_detections(
+        request.detections,
+        left_out=left_out,
+        conventions=reading.conventions(size),
+        notices=notices,
+    )
 
 
 def _frames(request: SourceRequest, part: FrameRange) -> VideoSource:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phdtrack import config
 from phdtrack.config import Settings
 from phdtrack.detect.base import guesses
+from phdtrack.detect.convert import check_units
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
 from phdtrack.formats import read_truth
+from phdtrack.metrics.labelled import regular_step
 from phdtrack.multiclass import ClassSettings
 from phdtrack.report import About
 from phdtrack.run import directory as rundir
@@ -103,15 +107,18 @@ def prepare(
         settings = request_settings(request)
     truth = None
     last = 0
+    notices = list[str]()
     if request.tracking.truth is not None:
-        truth = read_truth(request.tracking.truth)
+        truth = read_truth(request.tracking.truth, notices=notices)
         last = int(truth.frame.max(initial=0))
     parameters = settings.values("detector")
     inputs = open_inputs(request.source, parameters, last, frame_range(request.frames))
+    if truth is not None:
+        notices += _truth_doubts(truth, inputs, request.tracking.truth)
     inputs = replace(
         inputs,
         files=_read_files(request, settings),
-        warnings=(*guesses(inputs.detector), *inputs.warnings),
+        warnings=(*notices, *guesses(inputs.detector), *inputs.warnings),
     )
     settings = config.for_run(settings, endless=not inputs.again)
     classes = config.build_classes(settings, inputs.info, inputs.names, inputs.classes, moving=True)
@@ -165,6 +172,21 @@ def _read_files(request: RunRequest, settings: Settings) -> tuple[object, ...]:
     )
 
 
+def _truth_doubts(truth: Truth, inputs: Inputs, path: Path | None) -> Iterator[str]:
+    """Yield sentences about a truth that does not fit. Raises `InputError` if its boxes cannot be
+    in pixels of the frames.
+    """
+    size = (inputs.info.width, inputs.info.height)
+    if path is not None and min(size) > 0:
+        check_units(truth.xyxy, np.ones(len(truth)), size, path)
+    step = regular_step(truth)
+    if step > 1:
+        yield (
+            f"{path}: objects are annotated in every {step}th frame alone, and rows of tracks in"
+            " the others count as false; phdtrack evaluate scores the annotated frames alone"
+        )
+
+
 def _truth_of_part(truth: Truth | None, request: RunRequest, inputs: Inputs) -> Truth | None:
     """The truth of the frames that are tracked."""
     if truth is None or not request.frames:
@@ -194,6 +216,9 @@ def _read(request: RunRequest, inputs: Inputs) -> dict[str, object]:
             "mask": absolute(source.mask or ""),
             "fps": inputs.info.fps,
         }
+    stated = {name: value for name, value in asdict(source.reading).items() if value}
+    if stated:
+        read["reading"] = stated
     if request.frames:
         read["frames"] = request.frames
     network = inputs.described.partition(":")[2]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +22,36 @@ FrameRange = tuple[int, int]
 """The first and the last frame to track; 0 for the end."""
 WHOLE: FrameRange = (1, 0)
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingRequest:
+    """How a file of boxes is to be read; empty for what its content decides.
+
+    Attributes
+    ----------
+    format, units, box, sequence : as the fields of `formats.Conventions`.
+    first_frame : ``0`` or ``1``, the number that the file gives the first frame.
+    """
+
+    format: str = ""
+    first_frame: str = ""
+    units: str = ""
+    box: str = ""
+    sequence: str = ""
+
+    def conventions(self, size: tuple[int, int] = (0, 0)) -> Conventions:
+        """The same as `Conventions`, for frames of this width and height in pixels, (0, 0) if it is
+        unknown. Raises `InputError` for unknown words.
+        """
+        if self.first_frame not in ("", "0", "1"):
+            raise InputError(f"expected 0 or 1, got {self.first_frame!r}", where="--first-frame")
+        first = int(self.first_frame) if self.first_frame else None
+        return Conventions(self.format, first, self.units, self.box, self.sequence, size)
+
+    def options(self) -> dict[str, str]:
+        """The values by the names of their options."""
+        return {f"--{name.replace('_', '-')}": value for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +69,7 @@ class SourceRequest:
     mask : image of the region of interest.
     on_error : ``stop`` or ``skip`` malformed rows of a file of detections.
     detect_again : do not reuse detections of an earlier run.
+    reading : how the file of detections, or of tracks, is to be read.
     """
 
     source: str = ""
@@ -50,6 +81,7 @@ class SourceRequest:
     mask: Path | None = None
     on_error: str = "stop"
     detect_again: bool = False
+    reading: ReadingRequest = field(default_factory=ReadingRequest)
 
     @property
     def detector_name(self) -> str:
@@ -142,28 +174,6 @@ def for_name(request: T, name: str) -> T:
         }
         return replace(request, **values)
     return request
-
-
-def conventions(
-    format_name: str,
-    first_frame: str,
-    units: str,
-    box: str,
-    sequence: str = "",
-    size: tuple[int, int] = (0, 0),
-) -> Conventions:
-    """How a file is to be read, of the words of options. Raises `InputError` for unknown words.
-
-    Parameters
-    ----------
-    format_name, first_frame, units, box, sequence : as the fields of `Conventions`, empty for what
-        the content decides.
-    size : width and height of the frames, pixels; (0, 0) if unknown.
-    """
-    if first_frame not in ("", "0", "1"):
-        raise InputError(f"expected 0 or 1, got {first_frame!r}", where="--first-frame")
-    number = int(first_frame) if first_frame else None
-    return Conventions(format_name, number, units, box, sequence, size)
 
 
 def refuse(unused: Mapping[str, Any], problem: str, instead: str) -> None:
