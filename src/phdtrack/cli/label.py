@@ -80,7 +80,7 @@ def label(
     sequence = open_sequence(source, settings.values("detector"), file, output)
     read = None
     if imported:
-        read = read_annotated(imported)
+        read = read_annotated(imported, source.reading.sequence)
     elif out and not file.exists():
         cure = "Make one: phdtrack label"
         raise InputError("there is no such file of labels", where=file, cure=cure)

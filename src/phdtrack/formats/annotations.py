@@ -27,9 +27,14 @@ class AnnotationFile(NamedTuple):
     boxes: list[dict[str, Any]]
 
 
-def read_annotated(path: Path) -> AnnotationFile:
+def read_annotated(path: Path, sequence: str = "") -> AnnotationFile:
     """Read all content of a COCO or CVAT file. Raises `InputError` if it is neither, or is
     malformed.
+
+    Parameters
+    ----------
+    path : the file.
+    sequence : the video to read of a COCO file with several.
     """
     content = load(path)
     start = first_characters(content)[:1]
@@ -37,7 +42,7 @@ def read_annotated(path: Path) -> AnnotationFile:
         file = _read_cvat(path, content)
         first = 0
     elif start in (b"{", b"["):
-        file = _read_coco(path, content)
+        file = _read_coco(path, content, sequence)
         # Some programs number COCO's images from 0.
         first = min((item["frame"] for item in [*file.pictures, *file.boxes]), default=1)
     else:
@@ -60,9 +65,9 @@ def read_annotated(path: Path) -> AnnotationFile:
     return file
 
 
-def _read_coco(path: Path, content: bytes) -> AnnotationFile:
+def _read_coco(path: Path, content: bytes, sequence: str) -> AnnotationFile:
     """The content of a COCO file, with frames as the file numbers them."""
-    coco = read_coco(path, content)
+    coco = read_coco(path, content, sequence=sequence)
     names = {float(key): name for key, name in coco.names.items()}
     boxes = list[dict[str, Any]]()
     for _, frame, entry, ltwh in coco.boxes:

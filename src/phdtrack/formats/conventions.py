@@ -62,7 +62,14 @@ BY_EVIDENCE = Conventions()
 
 
 def report(notices: list[str] | None, path: AnyPath, sentence: str) -> None:
-    """Add a sentence about a file to the ``notices``; without a list, log it as a warning."""
+    """Add a sentence about a file to a list, or log it as a warning.
+
+    Parameters
+    ----------
+    notices : the list; None: the sentence is logged.
+    path : the file.
+    sentence : what was guessed, or looks wrong.
+    """
     if notices is None:
         _LOG.warning("%s: %s", path, sentence)
     else:

@@ -45,8 +45,9 @@ def as_stated(source: Source, table: Table) -> Table:
         width, height = _frame_size(source)
         across = (Column.LEFT, Column.RIGHT, Column.WIDTH, Column.CENTRE_X, Column.X)
         down = (Column.TOP, Column.BOTTOM, Column.HEIGHT, Column.CENTRE_Y, Column.Y)
-        for columns, side in ((across, width), (down, height)):
-            values |= {one: values[one] * side for one in columns if one in values}
+        with np.errstate(over="ignore"):
+            for columns, side in ((across, width), (down, height)):
+                values |= {one: values[one] * side for one in columns if one in values}
     return replace(table, values=values)
 
 

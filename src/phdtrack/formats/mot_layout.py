@@ -66,7 +66,16 @@ _NAMED = {
 
 
 def layout_of_truth(path: Path, text: Text, conventions: Conventions) -> MotLayout:
-    """The layout of a file of annotated objects without a header."""
+    """The layout of a file of annotated objects without a header.
+
+    Raises `InputError` if the user names a layout that needs more columns.
+
+    Parameters
+    ----------
+    path : the file, whose name is evidence, too.
+    text : its rows.
+    conventions : what the user states.
+    """
     if named := _NAMED.get(conventions.format):
         return _fitting(named, text)
     if text.width not in (8, 9, 10) or not len(text):
@@ -90,7 +99,16 @@ def layout_of_truth(path: Path, text: Text, conventions: Conventions) -> MotLayo
 
 
 def layout_of_tracks(path: Path, text: Text, conventions: Conventions) -> MotLayout:
-    """The layout of a file of tracks without a header, which may be annotated objects."""
+    """The layout of a file of tracks without a header, which may be annotated objects.
+
+    Raises `InputError` if the user names a layout that needs more columns.
+
+    Parameters
+    ----------
+    path : the file, whose name is evidence, too.
+    text : its rows.
+    conventions : what the user states.
+    """
     if named := _NAMED.get(conventions.format):
         return _fitting(named, text)
     if text.width not in (8, 9, 10) or not len(text):

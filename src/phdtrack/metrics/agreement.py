@@ -1,4 +1,4 @@
-"""Whether truth and tracks would agree if one of them were read in another way."""
+"""A comparison of truth and tracks as they are read, and as they might be read instead."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ _IOU = 0.5
 _FRAMES = 200
 # Another reading is reported if so many more boxes agree, and twice as many.
 _MORE = 0.25
+# Coordinates that are larger are of no picture.
+_LARGEST = 1e9
 _FACTORS = (2.0, 0.5, 1.5, 2 / 3, 3.0, 1 / 3, 4.0, 0.25)
 
 
@@ -38,7 +40,8 @@ def other_reading(truth: Truth, tracks: Tracks) -> str:
     """
     kept = ~truth.distractor
     frames = np.unique(truth.frame[kept])
-    if not len(frames) or not len(tracks):
+    largest = max(np.abs(rows.xyxy).max(initial=0) for rows in (truth, tracks))
+    if not len(frames) or not len(tracks) or largest > _LARGEST:
         return ""
     places = np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(np.int64)
     chosen = frames[places]

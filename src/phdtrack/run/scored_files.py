@@ -32,7 +32,7 @@ _MAX_LISTED = 10_000_000
 
 @dataclass(frozen=True, slots=True)
 class ScoringRequest:
-    """What to score.
+    """The files to score, and how.
 
     Attributes
     ----------
