@@ -902,10 +902,191 @@ def _encoded(folder: str) -> list[bytes]:
     return found
 
 
+def _annotations() -> tuple[list[bytes], Try]:
+    """Files of all formats that `formats` reads, each read as detections, tracks and truth."""
+    texts = [*_benchmark_texts(), *_json_annotations(), *_xml_annotations(), *_exported()]
+    return reading([(one, _read_as_all) for one in texts], ".txt")
+
+
+def _benchmark_texts() -> list[str | bytes]:
+    """Texts of ten benchmarks and programs."""
+    ends = {
+        "mot15": ("1,-1,-1,-1", "0,-1,-1,-1"),
+        "mot17": ("1,1,0.9", "0,8,0.2"),
+        "own": ("1,3,1.0", "1,0,1.0"),
+        "words": ("1,car,1", "1,bus,1"),
+        "boxmot": ("0,0,-1", "1,2,-1"),
+        "uavdt": ("1,1,1", "2,4,3"),
+        "visdrone": ("1,4,0,1", "0,0,0,0"),
+        "regions": ("1,1,1", "0,1,0.5"),
+        "run": ("0.9,-1,-1,-1,0,1,2", "0.5,-1,-1,-1,-1,1,1"),
+    }
+    texts = list[str | bytes]()
+    for name, (first, second) in ends.items():
+        identity = -1 if name == "regions" else 2
+        texts.append(
+            "".join(
+                f"{k},1,{5 * k},20,30,60,{first}\n{k},{identity},{9 * k},50,20,60,{second}\n"
+                for k in range(1, 5)
+            )
+        )
+    kitti = " -1" * 7
+    texts.append(
+        f"0 1 Car 0 0 -1 10 20 30 60{kitti} 0.9\n1 -1 DontCare -1 -1 -10 1 2 3 4{kitti} 0\n"
+    )
+    texts.append(
+        "frame;track_id;cx;cy;w;h;conf;class\n1;1;50;60;9;9;87;car\n2;1;50;60;9;9;95;bus\n"
+    )
+    return texts
+
+
+def _json_annotations() -> list[str | bytes]:
+    """COCO, its results, JSON lines and Scalabel."""
+    names = ("a/000000.jpg", "a/000001.jpg", "b/000000.jpg", "b/000001.jpg")
+    hashed = [f"clip-{k}_jpg.rf.{k}ca4238a0b923820dcc509a6f75849b.jpg" for k in range(4)]
+    files = list[str | bytes]()
+    for group, more in (
+        (names, {}),
+        (hashed, {}),
+        (("x.png",) * 4, {"videos": [{"id": 1, "name": "v"}, {"id": 2, "name": "w"}]}),
+    ):
+        images = [
+            {"id": k, "file_name": name, "video_id": 1 + k // 3 if more else 1}
+            for k, name in enumerate(group)
+        ]
+        boxes = [
+            {
+                "image_id": k,
+                "bbox": [9 * k, 5, 30, 40],
+                "category_id": 1,
+                "segmentation": [[1, 2, 5, 2, 4, 9]],
+                "attributes": {"track_id": 1, "rotation": 45.0 * k},
+            }
+            for k in range(4)
+        ]
+        boxes.append({"image_id": 0, "segmentation": [[1, 2, 5, 2, 4, 9]], "track_id": 7})
+        categories = [{"id": 1, "name": "car"}]
+        data = {"images": images, "annotations": boxes, "categories": categories, **more}
+        files.append(json.dumps(data))
+    rows = [{"image_id": k, "track_id": 1, "bbox": [k, 2, 3, 4], "score": 0.5} for k in range(4)]
+    files.append(json.dumps(rows))
+    lines = [{"frame": k, "id": 1, "bbox": [k, 2, 3, 4], "class": "car"} for k in range(1, 5)]
+    files.append("\n".join(map(json.dumps, lines)))
+    label = {"id": "01", "category": "car", "box2d": {"x1": 1, "y1": 2, "x2": 9, "y2": 8}}
+    frames = [
+        {"name": f"v-{k}.jpg", "videoName": "v", "frameIndex": k, "labels": [label]}
+        for k in range(3)
+    ]
+    return [*files, json.dumps(frames), json.dumps({"frames": frames})]
+
+
+def _xml_annotations() -> list[str | bytes]:
+    """CVAT for video and for images, and UA-DETRAC."""
+    box = 'xtl="1" ytl="2" xbr="40" ybr="30"'
+    shapes = (
+        f'<box frame="0" outside="0" {box} rotation="30"><attribute name="a">b</attribute></box>',
+        '<polygon frame="1" outside="0" points="1,2;9,2;5,8"/>',
+        '<ellipse frame="2" cx="9" cy="9" rx="3" ry="2" rotation="10"/>',
+        '<mask frame="3" left="1" top="2" width="3" height="4" rle="1, 2"/>',
+        '<polyline frame="4" points="1,2;3,4"/>',
+        f'<box frame="5" outside="1" {box}/>',
+    )
+    video = f'<annotations><track id="1" label="car">{"".join(shapes)}</track></annotations>'
+    image = f'<image id="2" name="c.png" width="64" height="48"><box label="car" {box}/></image>'
+    target = (
+        '<target id="1"><box left="1" top="2" width="30" height="40"/>'
+        '<attribute vehicle_type="car"/></target>'
+    )
+    detrac = (
+        '<?xml version="1.0"?>\n<sequence name="M"><ignored_region><box left="1" top="2" width="9"'
+        f' height="9"/></ignored_region>\n<frame num="1"><target_list>{target}</target_list>'
+        f'</frame>\n<frame num="2"><target_list>{target}</target_list></frame></sequence>'
+    )
+    return [video, f"<annotations>{image}</annotations>", detrac]
+
+
+def _exported() -> list[str | bytes]:
+    """A few tracks in each format that can be written, Parquet among them."""
+    import numpy as np
+
+    from phdtrack.formats import EXPORTS, export_tracks
+    from phdtrack.types import SequenceInfo, Tracks
+
+    frame = np.array([1, 1, 2, 4])
+    identity = np.array([1, 2, 1, 2])
+    box = np.array([[10.0, 20, 40, 80], [90, 20, 120, 80], [12, 20, 42, 80], [91, 20, 121, 80]])
+    tracks = Tracks.of(frame, identity, box, 0.9, -1)
+    found = list[str | bytes]()
+    with tempfile.TemporaryDirectory() as folder:
+        for kind in EXPORTS:
+            path = Path(folder) / f"tracks.{kind}"
+            info = SequenceInfo(320, 240, 25.0, 4, "a")
+            export_tracks(path, tracks, kind, {0: "car"}, info)
+            found.append(path.read_bytes())
+    return found
+
+
+def _read_as_all(path: Path) -> None:
+    """Read a file as detections, tracks and truth, and as content for labels. Raises `InputError`
+    if all of them refuse it.
+    """
+    from phdtrack.formats import (
+        Conventions,
+        read_detections,
+        read_tracks_named,
+        read_truth,
+        read_truth_by_class,
+    )
+    from phdtrack.formats.annotations import read_annotated
+
+    notices = list[str]()
+    stated = Conventions(box="ltrb", units="shares", sequence="a", frame_size=(320, 240))
+    readers: list[Callable[[], object]] = [
+        lambda: read_detections(path, notices=notices),
+        lambda: read_tracks_named(path, notices=notices),
+        lambda: read_truth(path, notices=notices),
+        lambda: read_truth_by_class(path, notices=notices),
+        lambda: read_truth(path, conventions=stated, notices=notices),
+        lambda: read_annotated(path),
+    ]
+    refused = list[InputError]()
+    for read in readers:
+        try:
+            read()
+        except InputError as error:
+            refused.append(error)
+    if len(refused) == len(readers):
+        raise refused[0]
+
+
+def _scored() -> tuple[list[bytes], Try]:
+    """Files of tracks, evaluated against a small truth."""
+    import numpy as np
+
+    from phdtrack.metrics import evaluate
+    from phdtrack.run.scored_files import ScoringRequest, read_scored
+
+    good = "".join(f"{k},1,{5 * k},20,30,60,1,-1,-1,-1\n" for k in range(1, 9))
+    truth = Path(tempfile.mkdtemp(prefix="fuzz-truth-")) / "gt.txt"
+    truth.write_text(good)
+    ignore = truth.with_name("ignore.csv")
+    ignore.write_text("frame,x,y,w,h\n,1,1,30,30\n")
+
+    def read(path: Path) -> None:
+        files = read_scored(ScoringRequest(truth, path, ignore=ignore))
+        if files.frames < 1000 and np.abs(files.tracks.xyxy).max(initial=0) < 1e6:
+            evaluate(files.truth, files.tracks, frames=files.frames)
+
+    corners = "".join(f"{k},1,{5 * k},20,{5 * k + 30},80,1\n" for k in range(1, 9))
+    return reading([(good, read), (corners, read), ("", read)], ".txt")
+
+
 FAMILIES: dict[str, Callable[[], tuple[list[bytes], Try]]] = {
     "detections": _detections,
     "truth": _truth,
     "xml": _xml,
+    "annotations": _annotations,
+    "scored": _scored,
     "cameras": _cameras,
     "toml": _toml,
     "scenes": _scenes,
