@@ -69,6 +69,12 @@ def test_broken_parquet_file_is_refused(tmp_path: Path, damage: str) -> None:
     refused(read_detections, path, "", "expected a Parquet file, which cannot be read")
 
 
+def test_class_names_that_are_not_utf_8_are_refused(tmp_path: Path) -> None:
+    words = arrow.array([b"car", b"\xe1us"]).view(arrow.string())
+    path = put(tmp_path, {"frame": [1, 2], **BOX, "class": words})
+    refused(read_detections, path, "", "numbers in the column class, got string")
+
+
 def test_missing_pyarrow_is_reported_with_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

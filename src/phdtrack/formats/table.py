@@ -293,7 +293,7 @@ def table_of_parquet(source: Source) -> Table:
                     number = {word: key for key, word in names.items()}
                     cells = arrow.array([number.get(word) for word in words])
             column = cells.cast(arrow.float64()).fill_null(np.nan)
-        except arrow.ArrowException:
+        except (arrow.ArrowException, UnicodeDecodeError):
             raise InputError(
                 f"expected numbers in the column {table.column_names[place]}, got {cells.type}",
                 where=source.path,
