@@ -89,12 +89,35 @@ def test_shares_are_refused_where_the_size_is_known(truth: Path) -> None:
     assert found["MOTA"] == 1
 
 
+def test_shares_are_refused_beside_pixels(truth: Path) -> None:
+    """The other file's boxes say how large the frame is."""
+    shares = changed(
+        truth, lambda row: [*row[:2], row[2] / 320, row[3] / 240, row[4] / 320, row[5] / 240, 1]
+    )
+    asked = ("evaluate", "--truth", truth, "--tracks", shares)
+    assert "tracks.txt: no coordinate exceeds" in refused(*asked)
+    assert "size of the frames" in refused(*asked, "--units", "shares")
+    found, _ = scores(truth, shares, "--units", ",pixels")
+    assert found["MOTA"] == -1
+    found, _ = scores(shares, shares)
+    assert found["MOTA"] == 1
+
+
+def test_truth_of_flag_0_alone_is_told(truth: Path) -> None:
+    unscored = changed(truth, lambda row: [*row[:6], 0, 1, 1], "gt0.txt")
+    _, said = scores(unscored, truth)
+    assert "all 80 rows have flag 0" in said
+
+
 def test_corners_are_refused_where_the_size_is_known(tmp_path: Path) -> None:
     truth = walkers(tmp_path / "seq") / "gt" / "gt.txt"
     right = changed(truth, lambda row: [*row[:2], row[2] + 150, row[3] + 90, *row[4:]], "right.txt")
     tracks = changed(right, lambda row: [*row[:4], row[2] + row[4], row[3] + row[5], 1])
     asked = ("evaluate", "--truth", right, "--tracks", tracks)
     assert "--box ltrb" in refused(*asked)
+    assert scores(right, tracks, "--box", ",ltrb") == ({**scores(right, right)[0]}, "")
+    # What the user states is not doubted.
+    assert scores(right, tracks, "--box", ",ltwh")[0]["MOTA"] < 1
 
 
 def test_lists_that_ignore_nothing_are_told(truth: Path) -> None:

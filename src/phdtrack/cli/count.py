@@ -143,7 +143,8 @@ def _count_known(
     info = _sequence(known, pictures, source, path)
     if not rundir.is_run(path) and min(info.width, info.height) > 0:
         size = (info.width, info.height)
-        check_units(known.tracks.xyxy, known.tracks.confidence, size, path)
+        words = {"units": source.reading.units, "box": source.reading.box}
+        check_units(known.tracks.xyxy, known.tracks.confidence, size, path, **words)
     output.warn(notices)
     directory = _counts_directory(path, source, to)
     observer = CountObserver(

@@ -54,7 +54,9 @@ def export(
     output.warn(notices)
     width, height = stated if size else (found.info.width, found.info.height)
     if not rundir.is_run(run) and min(width, height) > 0:
-        check_units(found.tracks.xyxy, found.tracks.confidence, (width, height), run)
+        tracks = found.tracks
+        words = {"units": reading.units, "box": reading.box}
+        check_units(tracks.xyxy, tracks.confidence, (width, height), run, **words)
     folder, stem = (run, "tracks") if run.is_dir() else (run.parent, run.stem)
     path = out or folder / f"{stem}_{to}{EXPORTS[to]}"
     if path.name == "-":
@@ -69,8 +71,14 @@ def export(
         path, found.tracks, to, found.names, replace(found.info, width=width, height=height)
     )
     rows = len(found.tracks)
-    tracks = len(np.unique(found.tracks.identity))
-    output.say(f"{counted(rows, 'row')} of {counted(tracks, 'track')}: {path}")
+    identities = len(np.unique(found.tracks.identity))
+    output.say(f"{counted(rows, 'row')} of {counted(identities, 'track')}: {path}")
     output.document(
-        {"tracks": str(run), "format": to, "rows": rows, "identities": tracks, "file": str(path)}
+        {
+            "tracks": str(run),
+            "format": to,
+            "rows": rows,
+            "identities": identities,
+            "file": str(path),
+        }
     )

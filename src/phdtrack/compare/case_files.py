@@ -17,7 +17,7 @@ from phdtrack.detect import detector_parameters, make_detector
 from phdtrack.detect.convert import within_frame
 from phdtrack.detect.detectors import working_width
 from phdtrack.errors import InputError
-from phdtrack.formats import find_seqinfo, read_detections, read_truth
+from phdtrack.formats import Conventions, find_seqinfo, read_detections, read_truth
 from phdtrack.types import SequenceInfo
 from phdtrack.video import open_source
 
@@ -64,7 +64,10 @@ def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list
             " folder.",
         )
     info = find_seqinfo(word)
-    last = 0 if truth is None else int(read_truth(truth, notices=[]).frame.max(initial=0))
+    last = 0
+    if truth is not None:
+        objects = read_truth(truth, conventions=Conventions(sequence=name), notices=[])
+        last = int(objects.frame.max(initial=0))
     decoded = None
     if source and (detectors or info is None):
         video = open_source(source)
@@ -73,7 +76,7 @@ def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list
             # Images do not know their rate.
             decoded = replace(decoded, fps=info.fps)
     cases = [
-        Case(name, label, _info(word, file, info or decoded, last), truth, source, file)
+        Case(name, label, _info(word, name, file, info or decoded, last), truth, source, file)
         for label, file in files
     ]
     if decoded is None or not detectors:
@@ -125,10 +128,11 @@ def is_file(name: str) -> bool:
     return "=" in name or "/" in name or "{}" in name or bool(Path(name).suffix)
 
 
-def _info(word: str, file: Path, known: SequenceInfo | None, last: int) -> SequenceInfo:
+def _info(word: str, name: str, file: Path, known: SequenceInfo | None, last: int) -> SequenceInfo:
     """Size, rate and length, up to the last frame that is known, detected or annotated."""
     # What is guessed is reported by the runs.
-    table = read_detections(file, notices=[])
+    conventions = Conventions(sequence=name)
+    table = read_detections(file, conventions=conventions, notices=[])
     if known is None:
         raise InputError(
             "size and rate of the frames are unknown",

@@ -38,7 +38,13 @@ from phdtrack.detect.convert import within_frame
 from phdtrack.detect.table_detector import frames_walked
 from phdtrack.errors import InputError
 from phdtrack.files import json_value, write_text
-from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
+from phdtrack.formats import (
+    Conventions,
+    DetectionsWriter,
+    read_detections,
+    read_truth,
+    write_tracks,
+)
 from phdtrack.metrics import Scores, explain
 from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import pair_frames
@@ -390,6 +396,7 @@ def run_input(run: Run, kept: Path) -> RunInput:
     """
     case = run.case
     info = case.info
+    conventions = Conventions(sequence=case.sequence)
     names: Mapping[int, str] | None
     if case.file is None:
         folder = kept / "detections" / case.place
@@ -402,14 +409,14 @@ def run_input(run: Run, kept: Path) -> RunInput:
         table = _table(frames)
     else:
         notices = list[str]()
-        found = read_detections(case.file, notices=notices)
+        found = read_detections(case.file, conventions=conventions, notices=notices)
         table, sentences = within_frame(found, info, case.file)
         warnings = (*notices, *sentences)
         names = table.names
         numbers = frames_walked(table, info.frames, info.fps)
         frames = list(table_frames(table, numbers, _clock(case.source, info.fps)))
     told = list[str]()
-    truth = read_truth(case.truth, notices=told) if case.truth else None
+    truth = read_truth(case.truth, conventions=conventions, notices=told) if case.truth else None
     warnings = (*warnings, *told)
     if run.rate:
         table = _with_clutter(run, info, table, truth)

@@ -210,7 +210,7 @@ def unit_warning(found: Detections, size: tuple[float, float]) -> str:
 
 
 def within_frame(
-    table: DetectionTable, info: SequenceInfo, path: Path
+    table: DetectionTable, info: SequenceInfo, path: Path, *, units: str = "", box: str = ""
 ) -> tuple[DetectionTable, tuple[str, ...]]:
     """The detections that lie at least partly in the frame, and a sentence for each reason why
     others were left out.
@@ -220,6 +220,7 @@ def within_frame(
     table : detections of a sequence.
     info : its size.
     path : their file, for messages.
+    units, box : what the user states about the boxes, which is not doubted then; empty for nothing.
 
     Raises
     ------
@@ -227,7 +228,8 @@ def within_frame(
         in place of sizes, or like scores in place of heights.
     """
     found = table.detections
-    check_units(found.xyxy, found.confidence, (info.width, info.height), path)
+    size = (info.width, info.height)
+    check_units(found.xyxy, found.confidence, size, path, units=units, box=box)
     sentences = list[str]()
     if table.empty:
         sentences.append(
@@ -255,7 +257,15 @@ def within_frame(
     return inside, tuple(sentences)
 
 
-def check_units(xyxy: F8, confidence: F8, size: tuple[int, int], path: Path) -> None:
+def check_units(
+    xyxy: F8,
+    confidence: F8,
+    size: tuple[int, int],
+    path: Path,
+    *,
+    units: str = "",
+    box: str = "",
+) -> None:
     """Raise `InputError` if the columns of a file seem to have been misread.
 
     Parameters
@@ -264,17 +274,18 @@ def check_units(xyxy: F8, confidence: F8, size: tuple[int, int], path: Path) -> 
     confidence : (M,) their scores.
     size : width and height of the frames, pixels.
     path : the file, for messages.
+    units, box : what the user states about the boxes, which is not doubted then; empty for nothing.
     """
     if not len(xyxy):
         return
     left, top, right, bottom = xyxy.T
-    if xyxy.max() <= _MAX_SHARE < min(size):
+    if not units and xyxy.max() <= _MAX_SHARE < min(size):
         raise InputError(
             unit_warning(Detections.of(xyxy), size),
             where=path,
             cure="Say --units shares, or multiply them by the frame's width and height.",
         )
-    if len(xyxy) < _MIN_BOXES:
+    if len(xyxy) < _MIN_BOXES or box:
         return
     beyond = (right > size[0]) | (bottom > size[1])
     corners = (right - left > left) & (bottom - top > top)

@@ -139,6 +139,8 @@ def _truth_of(table: Table, notices: list[str] | None) -> Truth:
     frame, identity = identified(table, *rules)
     order = np.argsort(frame, kind="stable")
     order = order[(confidence[order] != 0) | (ignore[order] != 0)]
+    if len(frame) and not len(order):
+        report(notices, path, f"all {len(frame)} rows have flag 0 or a class that is not scored")
     return Truth(
         frame[order],
         identity[order],

@@ -252,7 +252,8 @@ def _open_table(request: SourceRequest, path: Path, last: int, part: FrameRange)
     else:
         frames = _blank_frames(request, path, table, last)
     frames.first, frames.last = part
-    usable, sentences = within_frame(table, frames.info, path)
+    stated = request.reading
+    usable, sentences = within_frame(table, frames.info, path, units=stated.units, box=stated.box)
     warnings = (*notices, *sentences)
     latest = int(usable.frame.max(initial=0))
     classes = frozenset(np.unique(usable.detections.class_id).tolist())

@@ -17,7 +17,7 @@ from phdtrack.detect.base import guesses
 from phdtrack.detect.convert import check_units
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
-from phdtrack.formats import read_truth
+from phdtrack.formats import Conventions, read_truth
 from phdtrack.metrics.labelled import regular_step
 from phdtrack.multiclass import ClassSettings
 from phdtrack.report import About
@@ -109,7 +109,9 @@ def prepare(
     last = 0
     notices = list[str]()
     if request.tracking.truth is not None:
-        truth = read_truth(request.tracking.truth, notices=notices)
+        truth = read_truth(
+            request.tracking.truth, conventions=_truth_conventions(request), notices=notices
+        )
         last = int(truth.frame.max(initial=0))
     parameters = settings.values("detector")
     inputs = open_inputs(request.source, parameters, last, frame_range(request.frames))
@@ -170,6 +172,12 @@ def _read_files(request: RunRequest, settings: Settings) -> tuple[object, ...]:
         tracking.config,
         motion,
     )
+
+
+def _truth_conventions(request: RunRequest) -> Conventions:
+    """Of truth with several videos, the one of the source's name is read."""
+    source = request.source
+    return Conventions(sequence=source.reading.sequence or Path(source.source).stem)
 
 
 def _truth_doubts(truth: Truth, inputs: Inputs, path: Path | None) -> Iterator[str]:

@@ -20,7 +20,7 @@ from phdtrack.formats import (
     read_tracks,
     read_truth,
 )
-from phdtrack.formats.conventions import ALL
+from phdtrack.formats.conventions import ALL, BOXES
 from phdtrack.metrics.agreement import other_reading
 from phdtrack.metrics.labelled import in_frames, keyframe_doubt, regularly_labelled
 from phdtrack.types import F8, I8, LAST_FRAME, Tracks, Truth
@@ -135,15 +135,31 @@ def _touch(places: F8, frame: I8, xyxy: F8) -> bool:
 
 
 def _check_boxes(request: ScoringRequest, truth: Truth, tracks: Tracks) -> None:
-    """Raise `InputError` if the boxes of a file cannot be in pixels of frames of known size."""
+    """Raise `InputError` if the boxes of a file cannot be in pixels of the frames, whose size may
+    be known only as that of the other file's boxes.
+    """
     size = request.reading[0].frame_size
     if not min(size):
         info = find_seqinfo(request.truth)
         size = (info.width, info.height) if info else (0, 0)
-    if min(size) <= 0:
-        return
-    check_units(truth.xyxy, np.ones(len(truth)), size, request.truth)
-    check_units(tracks.xyxy, tracks.confidence, size, request.tracks)
+    sides = (
+        (truth.xyxy, tracks.xyxy, request.truth, request.reading[0]),
+        (tracks.xyxy, truth.xyxy, request.tracks, request.reading[1]),
+    )
+    for xyxy, others, path, stated in sides:
+        box = stated.box
+        extent = size
+        if not min(size) and len(others):
+            extent = _extent(others)
+            # Where a frame ends is not known well enough for other doubts than of shares.
+            box = BOXES[0]
+        check_units(xyxy, np.ones(len(xyxy)), extent, path, units=stated.units, box=box)
+
+
+def _extent(xyxy: F8) -> tuple[int, int]:
+    """The width and height, pixels, of a frame that holds the boxes (M, 4)."""
+    right, bottom = np.clip(xyxy[:, 2:].max(axis=0), 0, LAST_FRAME).tolist()
+    return int(right), int(bottom)
 
 
 def last_frame(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: list[str]) -> int:
@@ -159,6 +175,10 @@ def last_frame(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: l
     annotated = int(truth.frame.max(initial=0))
     info = find_seqinfo(request.truth)
     known = request.frames or (info.frames if info else 0)
+    if not request.frames and 0 < known < annotated:
+        notices.append(
+            f"{request.truth}: objects up to frame {annotated}, and seqinfo.ini has {known} frames"
+        )
     end = request.frames or max(annotated, known)
     after = int((tracks.frame > (end if known else annotated)).sum())
     where = f"{request.tracks}: {after} of {len(tracks)} rows lie after frame"
