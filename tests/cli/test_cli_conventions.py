@@ -39,6 +39,16 @@ def shares(row: list[float]) -> list[float]:
 
 
 @pytest.mark.parametrize(
+    "command", ["track", "groups", "count", "label", "learn", "export", "evaluate"]
+)
+def test_help_names_how_files_are_read(command: str) -> None:
+    said = phdtrack(command, "--help").out
+    for option in ("--format", "--first-frame", "--units", "--box", "--sequence"):
+        assert option in said
+    assert ("--labelled" in said) == (command == "evaluate")
+
+
+@pytest.mark.parametrize(
     ("change", "option", "value"),
     [
         (corners, "--box", "ltrb"),

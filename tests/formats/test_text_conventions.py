@@ -179,8 +179,11 @@ def test_shares_need_the_size_of_the_frames(tmp_path: Path) -> None:
 
 def test_scores_in_percent_are_told(tmp_path: Path) -> None:
     notices = list[str]()
-    read_detections(put(tmp_path, rows("87", "95.5", "12")), notices=notices)
-    assert "scores go up to 95.5 and seem to be percent" in notices[0]
+    path = put(tmp_path, rows("87", "95.5", "12"))
+    read_detections(path, notices=notices)
+    read_tracks(path, notices=notices)
+    assert len(notices) == 2
+    assert all("scores go up to 95.5 and seem to be percent" in one for one in notices)
     for harmless in (("0.87", "0.5"), ("1", "1"), ("-3", "12"), ("250", "90")):
         notices.clear()
         read_detections(put(tmp_path, rows(*harmless)), notices=notices)
@@ -190,9 +193,11 @@ def test_scores_in_percent_are_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("step", "told"), [(40, True), (33.4, True), (1, False), (5, False)])
 def test_times_for_frames_are_told(tmp_path: Path, step: float, told: bool) -> None:
     notices = list[str]()
-    lines = [f"{1 + round(step * k)},-1,0,0,5,5,1\n" for k in range(60)]
-    read_detections(put(tmp_path, "".join(lines)), notices=notices)
-    assert any("milliseconds" in one for one in notices) == told
+    lines = [f"{1 + round(step * k)},1,0,0,5,5,1\n" for k in range(60)]
+    path = put(tmp_path, "".join(lines))
+    for reader in (read_detections, read_tracks):
+        reader(path, notices=notices)
+    assert sum("milliseconds" in one for one in notices) == 2 * told
 
 
 def test_a_stated_format_must_fit(tmp_path: Path) -> None:

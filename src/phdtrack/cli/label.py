@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import shlex
 import webbrowser
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -77,10 +77,14 @@ def label(
         TrackingRequest(config=config, sets=sets), detector=source.detector_name
     )
     file = labels or labels_file(source)
+    video = source.reading.sequence
+    if imported and source.detections is None:
+        # The name of a video is for the file to import.
+        source = replace(source, reading=replace(source.reading, sequence=""))
     sequence = open_sequence(source, settings.values("detector"), file, output)
     read = None
     if imported:
-        read = read_annotated(imported, source.reading.sequence)
+        read = read_annotated(imported, video)
     elif out and not file.exists():
         cure = "Make one: phdtrack label"
         raise InputError("there is no such file of labels", where=file, cure=cure)

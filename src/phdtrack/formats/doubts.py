@@ -97,6 +97,6 @@ def check_times(frame: I8, path: Path, notices: list[str] | None) -> None:
         return
     usual = int(np.median(steps))
     close = np.abs(steps - usual) <= 1
-    if _SHORTEST <= usual <= _LONGEST and close.mean() >= _MOST and frame[-1] > _LONGEST:
+    if _SHORTEST <= usual <= _LONGEST and close.mean() >= _MOST and frame.max() > _LONGEST:
         sentence = f"the frame numbers advance by {usual}: if they are times in milliseconds"
         report(notices, path, f"{sentence}, divide them by the frames' interval and add 1")

@@ -208,6 +208,8 @@ def _tracks_of(table: Table, notices: list[str] | None) -> Tracks:
         confirmed != 0,
         label.astype(np.int64),
     )
+    check_scores(tracks.confidence, table.origin.path, notices)
+    check_times(frame, table.origin.path, notices)
     return tracks.select(np.lexsort((identity, frame)))
 
 
