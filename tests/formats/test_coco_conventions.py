@@ -126,6 +126,8 @@ def with_annotation(folder: Path, **more: Any) -> Path:
     [
         (90, [20, -20, 60, 60]),
         (-90.0, [20, -20, 60, 60]),
+        ("90.0", [20, -20, 60, 60]),
+        (1e400, [0, 0, 80, 40]),
         (180, [0, 0, 80, 40]),
         (45, [-2.426407, -22.426407, 82.426407, 62.426407]),
         (0, [0, 0, 80, 40]),
@@ -136,7 +138,7 @@ def test_hull_of_a_rotated_box(tmp_path: Path, degrees: object, box: list[float]
     path = with_annotation(tmp_path, bbox=[0, 0, 80, 40], attributes={"rotation": degrees})
     notices = list[str]()
     assert read_truth(path, notices=notices).xyxy[0].tolist() == pytest.approx(box, abs=1e-6)
-    assert any("1 × rotated box" in one for one in notices) == (degrees not in (0, "?"))
+    assert any("1 × rotated box" in one for one in notices) == (degrees not in (0, "?", 1e400))
 
 
 def test_polygon_without_a_box(tmp_path: Path) -> None:

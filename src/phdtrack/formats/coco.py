@@ -166,12 +166,23 @@ def _upright_box(entry: Entry, shapes: Shapes) -> tuple[float, ...]:
         left, top, right, bottom = hull(polygon[::2], polygon[1::2])
         return left, top, right - left, bottom - top
     left, top, width, height = entry.box()
-    degrees = entry.values.get("rotation")
-    if not isinstance(degrees, int | float) or not 0 < abs(degrees) < _MAX_DEGREES:
+    degrees = _degrees(entry.values.get("rotation"))
+    if not degrees:
         return left, top, width, height
     shapes.read["rotated box"] += 1
     corners = rotated_hull(left, top, left + width, top + height, degrees)
     return corners[0], corners[1], corners[2] - corners[0], corners[3] - corners[1]
+
+
+def _degrees(value: object) -> float:
+    """A rotation as a number, or as its digits in quotes; 0 for anything else."""
+    if not isinstance(value, int | float | str):
+        return 0.0
+    try:
+        degrees = float(value)
+    except (ValueError, OverflowError):
+        return 0.0
+    return degrees if abs(degrees) < _MAX_DEGREES else 0.0
 
 
 def _polygon(segmentation: object) -> list[float]:
