@@ -62,6 +62,46 @@ def test_shapes_that_are_no_areas_are_told(tmp_path: Path) -> None:
     refused(read_truth, path, ", line 1", "points as x,y;x,y")
 
 
+def key(frame: int, left: float, outside: int = 0, keyframe: str = 'keyframe="1"') -> str:
+    place = f'xtl="{left}" ytl="0" xbr="{left + 10}" ybr="20"'
+    return f'<box frame="{frame}" outside="{outside}" {keyframe} {place}/>'
+
+
+@pytest.mark.parametrize(
+    ("boxes", "frames", "lefts"),
+    [
+        (key(0, 0) + key(4, 8), [1, 2, 3, 4, 5], [0, 2, 4, 6, 8]),
+        (key(0, 0) + key(2, 8, outside=1) + key(4, 8), [1, 5], [0, 8]),
+        (key(0, 0, keyframe="") + key(3, 8, keyframe=""), [1, 4], [0, 8]),
+        (key(0, 0) + key(1, 2, keyframe='keyframe="0"') + key(2, 4), [1, 2, 3], [0, 2, 4]),
+        (key(0, 0) + key(1_000_000, 4), [1, 1_000_001], [0, 4]),
+    ],
+)
+def test_boxes_between_keyframes_of_cvat(
+    tmp_path: Path, boxes: str, frames: list[int], lefts: list[float]
+) -> None:
+    notices = list[str]()
+    truth = read_truth(cvat(tmp_path, boxes), notices=notices)
+    assert (truth.frame.tolist(), truth.xyxy[:, 0].tolist()) == (frames, lefts)
+    assert bool(notices) == (len(frames) == 5)
+    assert all("3 boxes between keyframes are interpolated" in one for one in notices)
+
+
+def test_too_many_boxes_between_keyframes_are_refused(tmp_path: Path) -> None:
+    boxes = "".join(key(9000 * k, 0) for k in range(120))
+    refused(read_truth, cvat(tmp_path, boxes), ", line 1", "at most 1,000,000 boxes between")
+
+
+def test_keyframes_of_two_tracks_are_kept_apart(tmp_path: Path) -> None:
+    tracks = "".join(
+        f'<track id="{k}" label="car">{key(5 * k, 0)}{key(5 * k + 2, 4)}</track>' for k in (1, 2)
+    )
+    path = put(tmp_path, f"<annotations>{tracks}</annotations>", "cvat.xml")
+    found = read_tracks(path, notices=[])
+    assert found.frame.tolist() == [6, 7, 8, 11, 12, 13]
+    assert found.identity.tolist() == [1, 1, 1, 2, 2, 2]
+
+
 DETRAC = """<?xml version="1.0" encoding="utf-8"?>
 <sequence name="MVI_1"><sequence_attribute camera_state="stable"/>
 <ignored_region><box left="0.5" top="1.75" width="8" height="3"/></ignored_region>

@@ -11,7 +11,8 @@ skipped.
 CVAT has tracks, ``<annotations> <track id="1" label="car"> <box frame="0" outside="0" xtl=".."
 ytl=".." xbr=".." ybr=".."/>``, or images, ``<image id="0"> <box label="car" …/>``, whose boxes have
 no identities. Frames count from 0. Rotated boxes, polygons, ellipses, masks and cuboids are read as
-the upright boxes around them.
+the upright boxes around them. CVAT interpolates between keyframes, and writes the boxes between
+them; if a file has none between two keyframes of a track, they are interpolated here.
 
 UA-DETRAC has frames from 1, and regions to ignore that hold in all of them:
 
@@ -33,6 +34,10 @@ from phdtrack.formats.text import as_cell, text_of_rows
 CVAT_SHAPES = ("box", "polygon", "ellipse", "mask", "cuboid")
 # CVAT's other shapes, which are no areas.
 _OTHER_SHAPES = ("polyline", "points", "skeleton")
+_CORNERS = ("left", "top", "right", "bottom")
+# Frames between two keyframes, and boxes between all of them, at most.
+_LONGEST_GAP = 10_000
+_MOST_BETWEEN = 1_000_000
 _CUBOID = ("tl1", "bl1", "tr1", "br1", "tl2", "bl2", "tr2", "br2")
 
 
@@ -92,8 +97,22 @@ def _cvat_rows(source: Source, elements: list[Element]) -> tuple[list[dict[str, 
     rows = list[dict[str, str]]()
     lines = list[int]()
     shapes = Shapes()
+    filled = 0
+    before: Element | None = None
     for element in elements:
         outside = element.attributes.get("outside") == "1"
+        if element.name in CVAT_SHAPES:
+            between = _interpolated(before, element)
+            filled += len(between)
+            if filled > _MOST_BETWEEN:
+                raise InputError(
+                    f"expected at most {_MOST_BETWEEN:,} boxes between keyframes, got more",
+                    where=element.where,
+                    cure="Export all boxes, or correct the frames.",
+                )
+            rows += between
+            lines += [element.line] * len(between)
+            before = element
         if outside or any(around.name == "skeleton" for around in element.around):
             continue
         if element.name in _OTHER_SHAPES:
@@ -107,7 +126,36 @@ def _cvat_rows(source: Source, elements: list[Element]) -> tuple[list[dict[str, 
                 shapes.read["rotated box"] += 1
     for sentence in shapes.sentences():
         source.report(sentence)
+    if filled:
+        source.report(f"{filled} boxes between keyframes are interpolated, as CVAT does")
     return rows, lines
+
+
+def _interpolated(before: Element | None, after: Element) -> list[dict[str, str]]:
+    """The rows between two keyframes of a track that follow each other in the file; none if the
+    object is outside in one of them.
+    """
+    if before is None or "track" not in _around(after):
+        return []
+    if _around(before).get("track") is not _around(after)["track"]:
+        return []
+    for shape in (before, after):
+        attributes = shape.attributes
+        if attributes.get("keyframe") != "1" or attributes.get("outside") == "1":
+            return []
+    _, first, start = cvat_box(before)
+    _, last, end = cvat_box(after)
+    if not (first.is_integer() and last.is_integer() and 1 < last - first <= _LONGEST_GAP):
+        return []
+    rows = list[dict[str, str]]()
+    for frame in range(int(first) + 1, int(last)):
+        share = (frame - first) / (last - first)
+        corners = [(1 - share) * a + share * b for a, b in zip(start, end, strict=True)]
+        row = _cvat_row(after)
+        row["frame"] = repr(float(frame))
+        row |= dict(zip(_CORNERS, map(repr, corners), strict=True))
+        rows.append(row)
+    return rows
 
 
 def _cvat_row(box: Element) -> dict[str, str]:
@@ -115,8 +163,7 @@ def _cvat_row(box: Element) -> dict[str, str]:
     if not _around(box).keys() & {"track", "image"}:
         raise _misplaced(box, "<track> or <image>")
     track, frame, corners = cvat_box(box)
-    names = ("frame", "left", "top", "right", "bottom")
-    row = dict(zip(names, map(repr, (frame, *corners)), strict=True))
+    row = {"frame": repr(frame)} | dict(zip(_CORNERS, map(repr, corners), strict=True))
     if track is not box:
         row["id"] = repr(track.number("id"))
     row["class"] = as_cell(track.attributes.get("label", ""))
