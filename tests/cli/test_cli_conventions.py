@@ -91,6 +91,9 @@ def test_truth_of_a_run_that_does_not_fit(sequence: Path, tmp_path: Path) -> Non
     truth = sequence / "gt" / "gt.txt"
     asked = (*TRACK, detections, "--out", tmp_path / "run", "--overwrite", "--truth")
     assert "not in shares of its size" in refused(*asked, changed(truth, shares))
+    half = changed(truth, lambda row: [*row[:2], *(one / 2 for one in row[2:6]), *row[6:]])
+    assert "at 0.5 times their size: are they of a video" in phdtrack(*asked, half).err
+    assert "times their size" not in phdtrack(*asked, truth).err
     keys = truth.with_name("keys.txt")
     rows = [line for line in truth.read_text().split() if int(line.split(",")[0]) % 10 == 1]
     keys.write_text("\n".join(rows))

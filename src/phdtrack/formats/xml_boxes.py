@@ -37,7 +37,7 @@ _OTHER_SHAPES = ("polyline", "points", "skeleton")
 _CORNERS = ("left", "top", "right", "bottom")
 # Frames between two keyframes, and boxes between all of them, at most.
 _LONGEST_GAP = 10_000
-_MOST_BETWEEN = 1_000_000
+MOST_BETWEEN = 1_000_000
 _CUBOID = ("tl1", "bl1", "tr1", "br1", "tl2", "bl2", "tr2", "br2")
 
 
@@ -104,9 +104,9 @@ def _cvat_rows(source: Source, elements: list[Element]) -> tuple[list[dict[str, 
         if element.name in CVAT_SHAPES:
             between = _interpolated(before, element)
             filled += len(between)
-            if filled > _MOST_BETWEEN:
+            if filled > MOST_BETWEEN:
                 raise InputError(
-                    f"expected at most {_MOST_BETWEEN:,} boxes between keyframes, got more",
+                    f"expected at most {MOST_BETWEEN:,} boxes between keyframes, got more",
                     where=element.where,
                     cure="Export all boxes, or correct the frames.",
                 )

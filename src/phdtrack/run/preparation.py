@@ -18,7 +18,6 @@ from phdtrack.detect.convert import check_units
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
 from phdtrack.formats import Conventions, read_truth
-from phdtrack.metrics.labelled import regular_step
 from phdtrack.multiclass import ClassSettings
 from phdtrack.report import About
 from phdtrack.run import directory as rundir
@@ -187,6 +186,9 @@ def _truth_doubts(truth: Truth, inputs: Inputs, path: Path | None) -> Iterator[s
     size = (inputs.info.width, inputs.info.height)
     if path is not None and min(size) > 0:
         check_units(truth.xyxy, np.ones(len(truth)), size, path)
+    # Loaded only if there is truth.
+    from phdtrack.metrics.labelled import regular_step
+
     step = regular_step(truth)
     if step > 1:
         yield (

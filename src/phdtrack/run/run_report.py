@@ -77,7 +77,7 @@ def write_report(
         finishing_seconds=seconds[1],
         left_out=progress.skipped,
         scores=_score_values(scores),
-        warnings=(*_problems(run, progress), *wrong, *confirmed[1:]),
+        warnings=(*_problems(run, progress), *_doubts(run, tracks), *wrong, *confirmed[1:]),
         notes=(*confirmed[:1], *_notes(run, progress)),
     )
     reports = [observer.report() for observer in run.observers]
@@ -154,6 +154,18 @@ def _notes(run: Run, progress: Progress) -> Iterator[str]:
         yield _LATEST
     if progress.shakes:
         yield _SHAKES
+
+
+def _doubts(run: Run, tracks: Tracks) -> Iterator[str]:
+    """Sentences about a truth that would fit the tracks better if it were read otherwise."""
+    truth = run.options.truth
+    if truth is None or not len(tracks):
+        return
+    # Loaded only if there is truth.
+    from phdtrack.metrics.agreement import other_reading
+
+    if sentence := other_reading(truth, tracks):
+        yield f"{sentence} (options of phdtrack evaluate)"
 
 
 def _problems(run: Run, progress: Progress) -> Iterator[str]:
