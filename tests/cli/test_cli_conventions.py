@@ -86,6 +86,19 @@ def test_guesses_are_among_the_warnings_of_a_run(sequence: Path, tmp_path: Path)
     assert "scores go up to 50 and seem to be percent" in said.err
 
 
+def test_rows_after_the_end_of_a_sequence_are_told(tmp_path: Path) -> None:
+    sequence = walkers(tmp_path / "seq")
+    file = sequence / "det" / "det.txt"
+    file.write_text(file.read_text() + "55,-1,9,9,20,60,1,-1,-1,-1\n")
+    said = phdtrack("track", "--no-video", "--detections", file, "--out", tmp_path / "run")
+    assert "detections up to frame 55, and seqinfo.ini has 40 frames" in said.err
+    tracks = sequence / "gt" / "gt.txt"
+    tracks.write_text(tracks.read_text() + "55,9,9,9,20,60,1,-1,-1,-1\n")
+    line = ("--line", "gate=160,0,160,240", "--out", tmp_path / "counts")
+    said = phdtrack("count", tracks, *line)
+    assert "rows up to frame 55, and the sequence has 40 frames" in said.err
+
+
 def test_truth_of_a_run_that_does_not_fit(sequence: Path, tmp_path: Path) -> None:
     detections = sequence / "det" / "det.txt"
     truth = sequence / "gt" / "gt.txt"

@@ -135,6 +135,23 @@ def test_lists_that_ignore_nothing_are_told(truth: Path) -> None:
         assert bool(said) == bool(words)
 
 
+def test_doubts_of_classes_are_told(truth: Path) -> None:
+    classes = truth.with_name("classes.csv")
+    rows = [line.split(",") for line in truth.read_text().split()]
+    lines = [",".join([*row[:6], "car" if row[1] == "1" else "bus"]) for row in rows]
+    classes.write_text("frame,id,left,top,width,height,class\n" + "\n".join(lines))
+    listed = truth.with_name("ignore.csv")
+    listed.write_text("frame,x,y,w,h\n,20,60,90,50\n")
+    asked = ("--per-class", "--ignore", listed)
+    found, said = scores(classes, classes, *asked)
+    assert (list(found["classes"]), said) == (["car", "bus"], "")
+    listed.write_text("frame,x,y,w,h\n,0.1,0.1,0.5,0.5\n")
+    assert "none of the 1 rows touches a box" in scores(classes, classes, *asked)[1]
+    empty = truth.with_name("empty.txt")
+    empty.write_text("")
+    assert "the file holds no track" in scores(classes, empty, "--per-class")[1]
+
+
 def test_rows_after_the_end_are_told(tmp_path: Path, truth: Path) -> None:
     tracks = truth.with_name("long.txt")
     late = [f"{k},9,5,5,20,20,1,-1,-1,-1" for k in range(41, 51)]

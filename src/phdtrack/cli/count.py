@@ -145,6 +145,10 @@ def _count_known(
         size = (info.width, info.height)
         words = {"units": source.reading.units, "box": source.reading.box}
         check_units(known.tracks.xyxy, known.tracks.confidence, size, path, **words)
+    last = int(known.tracks.frame.max(initial=0))
+    if 0 < known.info.frames < last:
+        end = known.info.frames
+        notices.append(f"{path}: rows up to frame {last}, and the sequence has {end} frames")
     output.warn(notices)
     directory = _counts_directory(path, source, to)
     observer = CountObserver(

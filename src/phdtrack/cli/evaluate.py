@@ -16,7 +16,6 @@ from phdtrack.cli.output import Output, number
 from phdtrack.errors import InputError
 from phdtrack.formats import (
     Conventions,
-    ignoring,
     read_detections,
     read_tracks_named,
     read_truth_by_class,
@@ -28,7 +27,14 @@ from phdtrack.metrics.causes import FALSE, PLACES
 from phdtrack.report.pages import score_meanings
 from phdtrack.run import directory as rundir
 from phdtrack.run.requests import ReadingRequest, frame_size, refuse
-from phdtrack.run.scored_files import ScoredFiles, ScoringRequest, last_frame, read_scored
+from phdtrack.run.scored_files import (
+    NO_TRACK,
+    ScoredFiles,
+    ScoringRequest,
+    counted,
+    last_frame,
+    read_scored,
+)
 from phdtrack.types import I8, Tracks, Truth
 
 # The scores that a table shows, in its order: keys of `Scores.as_dict`.
@@ -214,13 +220,19 @@ def per_class(
         name.lower(): name for name in (*names.values(), *annotated)
     }
     scores = {}
+    untouched = list[str]()
     for word, name in words.items():
         objects = next((one for key, one in annotated.items() if key.lower() == word), NO_TRUTH)
-        if asked.ignore is not None:
-            objects = ignoring(objects, asked.ignore)
         own = found.select(label == word)
+        if asked.ignore is not None:
+            objects = counted(objects, own, asked.ignore, untouched)
         if len(own) or len(objects):
             scores[name] = score(objects, own, frames=frames, iou=iou)
+    if len(untouched) == len(words):
+        # No class has a box that the list touches.
+        notices += untouched[:1]
+    if not len(found):
+        notices.append(f"{request.tracks}: {NO_TRACK}")
     output.warn(dict.fromkeys(notices))
     output.say(
         f"{request.tracks} against {request.truth}: {frames} frames, each class on its own, match"

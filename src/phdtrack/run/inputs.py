@@ -251,6 +251,12 @@ def _open_table(request: SourceRequest, path: Path, last: int, part: FrameRange)
         frames = _frames(request, part)
     else:
         frames = _blank_frames(request, path, table, last)
+        known = find_seqinfo(path)
+        if known is not None and 0 < known.frames < table.last:
+            notices.append(
+                f"{path}: detections up to frame {table.last}, and seqinfo.ini has {known.frames}"
+                " frames"
+            )
     frames.first, frames.last = part
     stated = request.reading
     usable, sentences = within_frame(table, frames.info, path, units=stated.units, box=stated.box)

@@ -27,6 +27,7 @@ from phdtrack.types import F8, I8, LAST_FRAME, Tracks, Truth
 
 # The word for the frames in which the truth has rows.
 _OF_TRUTH = "truth"
+NO_TRACK = "the file holds no track"
 _MAX_LISTED = 10_000_000
 
 
@@ -82,7 +83,7 @@ def read_scored(request: ScoringRequest) -> ScoredFiles:
     if not len(truth):
         notices.append(f"{request.truth}: the truth holds no object")
     if not len(tracks):
-        notices.append(f"{request.tracks}: the file holds no track")
+        notices.append(f"{request.tracks}: {NO_TRACK}")
     notices += filter(None, [other_reading(truth, tracks)])
     if request.ignore is not None:
         truth = counted(truth, tracks, request.ignore, notices)
