@@ -77,15 +77,10 @@ def label(
         TrackingRequest(config=config, sets=sets), detector=source.detector_name
     )
     file = labels or labels_file(source)
-    video = source.reading.sequence
-    if imported and source.detections is None:
-        # The name of a video is for the file to import.
-        source = replace(source, reading=replace(source.reading, sequence=""))
-    sequence = open_sequence(source, settings.values("detector"), file, output)
-    read = None
-    if imported:
-        read = read_annotated(imported, video)
-    elif out and not file.exists():
+    tracked = _without_video_name(source, imported)
+    sequence = open_sequence(tracked, settings.values("detector"), file, output)
+    read = _imported(imported, source)
+    if not imported and out and not file.exists():
         cure = "Make one: phdtrack label"
         raise InputError("there is no such file of labels", where=file, cure=cure)
     drawn = _drawn(read, sequence.info.frames, seed, 0 if out and not read else frames)
@@ -108,7 +103,7 @@ def label(
     if suggest:
         kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
         work = Background(partial(suggestions, sequence, settings, numbers, kept))
-    command = _learn_command(source, file, {"config": config, "set": sets, "blur": blur})
+    command = _learn_command(tracked, file, {"config": config, "set": sets, "blur": blur})
     session = Session(store, sequence.table, pictures, sequence.info, work, command, labeller)
     state = store.progress()
     output.say(
@@ -170,6 +165,20 @@ def _export(exchange: Exchange, out: Path, output: Output, *, overwrite: bool) -
         raise InputError("the file exists already", where=out, cure=cure)
     write_text(out, exchange.text(kind))
     output.say(f"the marks: {out}")
+
+
+def _imported(path: Path | None, source: SourceRequest) -> AnnotationFile | None:
+    """The content of the file to import; None if there is none."""
+    if path is None:
+        return None
+    return read_annotated(path, source.reading.sequence)
+
+
+def _without_video_name(source: SourceRequest, imported: Path | None) -> SourceRequest:
+    """The source without --sequence, if that can be of the file to import alone."""
+    if imported is None or source.detections is not None:
+        return source
+    return replace(source, reading=replace(source.reading, sequence=""))
 
 
 def _learn_command(source: SourceRequest, labels: Path, more: dict[str, Any]) -> str:

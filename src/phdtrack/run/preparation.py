@@ -174,7 +174,7 @@ def _read_files(request: RunRequest, settings: Settings) -> tuple[object, ...]:
 
 
 def _truth_conventions(request: RunRequest) -> Conventions:
-    """Of truth with several videos, the one of the source's name is read."""
+    """The video to read of truth with several: that of the source's name."""
     source = request.source
     return Conventions(sequence=source.reading.sequence or Path(source.source).stem)
 
