@@ -81,7 +81,8 @@ def test_an_option_goes_before_the_evidence(tmp_path: Path) -> None:
     assert not notices
     # A folder of the benchmark has its classes.
     benchmark = put(tmp_path, path.read_text(), "MOT17-02/gt/gt.txt")
-    assert identities(read_truth(benchmark)) == [1, 3]
+    assert identities(read_truth(benchmark, notices=notices)) == [1, 3]
+    assert "2 rows with flag 1 are of other classes than 1 and are not scored" in notices[0]
     assert identities(read_truth(path, conventions=Conventions(format="mot15"))) == [1, 2, 3]
     with pytest.raises(InputError, match="expected mot15, mot17"):
         Conventions(format="mot16")

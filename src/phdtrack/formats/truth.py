@@ -67,7 +67,17 @@ def read_truth(
     """
     path = Path(path)
     conventions = conventions.starting_at(first_frame)
-    return _truth_of(table_of(path, Kind.TRUTH, conventions, kitti, notices=notices), notices)
+    table = table_of(path, Kind.TRUTH, conventions, kitti, notices=notices)
+    label = table.get(Column.MOT_CLASS)
+    flagged = (label != -1) & (label != PEDESTRIAN) & (table.get(Column.CONFIDENCE) != 0)
+    if flagged.any() and not conventions.format:
+        report(
+            notices,
+            path,
+            f"{int(flagged.sum())} rows with flag 1 are of other classes than 1 and are not scored,"
+            " as in MOT16, MOT17 and MOT20, after which a folder is called",
+        )
+    return _truth_of(table, notices)
 
 
 def read_truth_by_class(
