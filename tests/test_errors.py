@@ -114,5 +114,8 @@ def test_long_error_is_truncated_and_masks_secrets():
         assert (
             str(InputError(f"no answer of RTSP://{user}@host/1")) == "no answer of RTSP://…@host/1"
         )
-    for address in ("rtsp://cam.lan/stream@1", "rtsp://10.0.0.5:554/user=admin@ch1"):
-        assert str(InputError(address)) == address
+    for address, masked in (
+        ("rtsp://cam.lan/stream@1", "rtsp://cam.lan/…"),
+        ("rtsp://10.0.0.5:554/user=admin@ch1", "rtsp://10.0.0.5:554/user=…"),
+    ):
+        assert str(InputError(address)) == masked

@@ -17,7 +17,6 @@ from __future__ import annotations
 import difflib
 import math
 import operator
-import re
 import signal
 from collections.abc import Iterable
 from dataclasses import fields
@@ -28,6 +27,8 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
+
+from phdtrack.addresses import shown
 
 Probability = Annotated[float, Ge(0), Le(1)]
 Share = Annotated[float, Gt(0), Le(1)]
@@ -50,24 +51,8 @@ EXTRAS = {
 }
 """Extras that install the optional packages, by the names of their modules."""
 
-# Each character is visited once, whatever the text: a damaged file may be one long name. A password
-# may contain a /, but the text behind a host and its port is no password.
-_PASSWORD = r"(?![^\s/:@]*[.\]][^\s/:@]*:\d+/)[^\s/:@]*:[^\s@]{1,100}"
-_USER = re.compile(rf"(?i)([a-z0-9+.-]{{1,30}}://)(?:[^/\s]+|{_PASSWORD})@")
-_PARAMETER = re.compile(r"([?&][^=&?]*=)[^&#\s]*")
-_SECRET = re.compile(r"(?i)pass|pwd|token|secret|key|auth")
 # A longer sentence loses its middle: the wrong value may have many thousand characters.
 _LONGEST = 4000
-
-
-def shown(text: str) -> str:
-    """The text, an address or a sentence, without user names, passwords and tokens of the addresses
-    in it.
-    """
-    text = _USER.sub(r"\1…@", text)
-    return _PARAMETER.sub(
-        lambda match: f"{match[1]}…" if _SECRET.search(match[1]) else match[0], text
-    )
 
 
 def _sentence(text: str) -> str:

@@ -17,16 +17,10 @@ import numpy as np
 import pytest
 from camera_server import CameraServer, Clock, HlsServer, RtspServer, until
 
+from phdtrack.addresses import named, shown
 from phdtrack.video import VideoWriter
 from phdtrack.video import live_sources as sources
-from phdtrack.video.live_sources import (
-    CATCH_UP,
-    LONGEST_PAUSE,
-    LiveFrame,
-    LiveSource,
-    named,
-    shown,
-)
+from phdtrack.video.live_sources import CATCH_UP, LONGEST_PAUSE, LiveFrame, LiveSource
 
 
 @pytest.fixture

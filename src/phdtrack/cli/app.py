@@ -21,6 +21,7 @@ import typer
 from typer.core import TyperCommand
 
 from phdtrack import __version__
+from phdtrack.addresses import shown
 from phdtrack.cli import signals
 from phdtrack.errors import InputError, absent, interrupted
 
@@ -191,8 +192,8 @@ def parser(command: Command) -> Any:
 
 
 def failed(sentence: str, status: int) -> typer.Exit:
-    """Print the sentence on stderr, and give the exit to raise."""
-    print(f"phdtrack: {sentence}", file=sys.stderr)
+    """Print the sentence on stderr, without secrets, and give the exit to raise."""
+    print(f"phdtrack: {shown(sentence)}", file=sys.stderr)
     return typer.Exit(status)
 
 

@@ -13,13 +13,14 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from phdtrack.addresses import shown
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.track import command_line, run_and_print
 from phdtrack.clock import Clock
 from phdtrack.detect.convert import check_units
-from phdtrack.errors import InputError, shown
+from phdtrack.errors import InputError
 from phdtrack.files import read_toml, write_text
 from phdtrack.formats import Conventions, read_detections
 from phdtrack.live.counting import HEAD, CountObserver

@@ -6,12 +6,13 @@ import json
 import time
 from typing import Annotated
 
+from phdtrack.addresses import shown
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.config import load
 from phdtrack.detect.base import guesses
-from phdtrack.errors import InputError, shown
+from phdtrack.errors import InputError
 from phdtrack.run import directory as rundir
 from phdtrack.run.inputs import open_inputs, write_detected
 from phdtrack.run.requests import DEFAULT_DETECTOR, SourceRequest

@@ -21,12 +21,13 @@ from typing import Annotated
 
 import typer
 
+from phdtrack.addresses import filled, named, shown
 from phdtrack.cli import options as given
 from phdtrack.cli import signals
 from phdtrack.cli.options import PageOptions, option, size
 from phdtrack.cli.output import Output, counted
 from phdtrack.detect.base import class_names
-from phdtrack.errors import InputError, shown
+from phdtrack.errors import InputError
 from phdtrack.files import json_value
 from phdtrack.live.camera_setup import CameraSetup
 from phdtrack.live.checkpoint import EVERY
@@ -36,7 +37,7 @@ from phdtrack.live.events import Watch
 from phdtrack.run import directory as rundir
 from phdtrack.run.choices import scene_settings
 from phdtrack.run.requests import DEFAULT_DETECTOR, TrackingRequest, refuse
-from phdtrack.video.live_sources import LiveSource, check_address, named
+from phdtrack.video.live_sources import LiveSource, check_address
 
 Names = Mapping[int, str] | None
 # Seconds that all cameras may take to end; lines that may wait for a slow reader.
@@ -111,7 +112,7 @@ def live(
     known = class_names(make.new_detector(make.settings(), max_width or 0))
     addresses = named_sources(sources)
     for url in write.webhook or []:
-        Webhook(url)
+        Webhook(_with_secrets(url, "--webhook"))
     # Locked as long as it is held.
     directory = rundir.claim(out, False, {})
     server = _Server(at) if page else None
@@ -207,14 +208,24 @@ def _places(given: Sequence[str], name: str, out: Path) -> Path:
 
 def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:
     """The receivers of a camera's events, by name."""
-    hooks = write.webhook or []
-    brokers = [write.mqtt] if write.mqtt else []
+    hooks = [_with_secrets(url, "--webhook") for url in write.webhook or []]
+    brokers = [_with_secrets(write.mqtt, "--mqtt")] if write.mqtt else []
     names = receivers([*hooks, *brokers])
     yield from zip(
         names,
         [*(Webhook(url, write.allow_private) for url in hooks), *map(Mqtt, brokers)],
         strict=True,
     )
+
+
+def _with_secrets(url: str, where: str) -> str:
+    """The address with the passwords that it takes from the environment or from files. Raises
+    `InputError` if there are none.
+    """
+    try:
+        return filled(url)
+    except LookupError as error:
+        raise InputError(str(error), where=where) from None
 
 
 class _Server:
@@ -235,10 +246,7 @@ class _Server:
         threading.Thread(
             target=serve, args=(live_app(cameras), self._address), name="phdtrack page", daemon=True
         ).start()
-        # It may have a token that stands nowhere else.
-        (output.note if output.quiet else output.say)(
-            f"the page: {self._address.url}   (Ctrl-C ends)"
-        )
+        output.page(self._address.url)
 
 
 def _attend(

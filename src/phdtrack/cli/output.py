@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from phdtrack.addresses import shown
 from phdtrack.cli import signals
 from phdtrack.cli.options import Json, Quiet
 from phdtrack.files import json_value
@@ -48,14 +49,19 @@ class Output:
         if not self.quiet:
             print(*lines, sep="\n", file=sys.stderr if self.json else sys.stdout, flush=True)
 
+    def page(self, url: str) -> None:
+        """Print the address of a page, also if `quiet`: its token stands nowhere else."""
+        stream = sys.stderr if self.json or self.quiet else sys.stdout
+        print(f"the page: {url}   (Ctrl-C ends)", file=stream, flush=True)
+
     def warn(self, sentences: Iterable[str]) -> None:
         """Print what is not as it should be but does not stop the job."""
         for sentence in sentences:
             self.note(f"warning: {sentence}")
 
     def note(self, text: str) -> None:
-        """Print a sentence about the work under way on stderr, like progress."""
-        print(f"phdtrack: {text}", file=sys.stderr, flush=True)
+        """Print a sentence about the work under way on stderr, like progress; without secrets."""
+        print(f"phdtrack: {shown(text)}", file=sys.stderr, flush=True)
 
     @property
     def signal(self) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import shlex
 import sys
 
+from phdtrack.addresses import shown
 from phdtrack.cli import options as given
 from phdtrack.cli.output import Output
-from phdtrack.errors import shown
 from phdtrack.run import directory as rundir
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.preparation import PreparedRun, claim_directory, is_complete, prepare

@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from phdtrack.addresses import shown
 from phdtrack.arrays import pixelated
 from phdtrack.detect.base import Detector
 from phdtrack.detect.convert import DiscardedBoxes
-from phdtrack.errors import InputError, shown
+from phdtrack.errors import InputError
 from phdtrack.groups.group_stages import GroupStages, OnlineGroups
 from phdtrack.live.checkpoint import (
     LOST,

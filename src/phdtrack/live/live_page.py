@@ -19,7 +19,8 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
-from phdtrack.errors import InputError, shown
+from phdtrack.addresses import shown
+from phdtrack.errors import InputError
 from phdtrack.live.engine import Camera
 from phdtrack.live.zones import places_of, write_places
 from phdtrack.web.endpoints import Endpoint, endpoint, static

@@ -6,13 +6,14 @@ import time
 from collections.abc import Iterator
 from itertools import chain
 
-from phdtrack.errors import InputError, shown
+from phdtrack.addresses import named, shown
+from phdtrack.errors import InputError
 from phdtrack.report.pages import counted
 from phdtrack.run.pipeline_threads import ahead
 from phdtrack.types import Image, SequenceInfo
 from phdtrack.video import VideoSource, open_source
 from phdtrack.video.decoding import endless
-from phdtrack.video.live_sources import LiveSource, check_address, named
+from phdtrack.video.live_sources import LiveSource, check_address
 
 # Seconds without a picture after which a run that reads a camera ends.
 GIVE_UP = 60.0

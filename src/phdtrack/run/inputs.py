@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from phdtrack.addresses import shown
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.base import Detector, class_names, prepared
 from phdtrack.detect.convert import within_frame
 from phdtrack.detect.detectors import working_width
 from phdtrack.detect.scene_knowledge import study
 from phdtrack.detect.table_detector import frames_walked
-from phdtrack.errors import InputError, shown
+from phdtrack.errors import InputError
 from phdtrack.files import return_memory
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
 from phdtrack.formats.checks import MalformedRows

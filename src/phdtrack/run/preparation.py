@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from phdtrack import config
+from phdtrack.addresses import shown
 from phdtrack.config import Settings
 from phdtrack.detect.base import guesses
 from phdtrack.detect.convert import check_units
-from phdtrack.errors import InputError, shown
+from phdtrack.errors import InputError
 from phdtrack.files import json_value
 from phdtrack.formats import Conventions, read_truth
 from phdtrack.multiclass import ClassSettings

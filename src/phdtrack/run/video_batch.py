@@ -23,6 +23,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from phdtrack.addresses import shown
 from phdtrack.clock import Clock
 from phdtrack.errors import InputError, absent
 from phdtrack.files import load, read_json
@@ -318,7 +319,8 @@ class BatchPlan:
 def _command(source: str, folder: Path, words: Sequence[str]) -> str:
     """The command line that runs a video alone."""
     subject = ["--detections", source] if Path(source).suffix.lower() in TABLES else [source]
-    return shlex.join(["phdtrack", "track", *subject, "--out", str(folder), *words])
+    every = ["phdtrack", "track", *subject, "--out", str(folder), *words]
+    return shlex.join(map(shown, every))
 
 
 def _digest(decided_by: object) -> str:

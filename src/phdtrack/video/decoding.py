@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from phdtrack.addresses import filled, named
 from phdtrack.clock import Clock, settled
 from phdtrack.errors import InputError, needed
 from phdtrack.types import Frame, Image, SequenceInfo
@@ -81,7 +82,7 @@ def file_source(path: str, fps: float, first: int) -> VideoSource:
     decoded = Decoded(picture)
     if decoded.size != (picture.width, picture.height):
         pixel_aspect = 1 / pixel_aspect
-    info = SequenceInfo(*decoded.size, rate, 0, Path(path).stem, pixel_aspect)
+    info = SequenceInfo(*decoded.size, rate, 0, _name(path), pixel_aspect)
     video = _VideoFile(path, fps, rate, note, picture.pts, picture.time or 0.0, shuffled)
     return VideoSource(
         info,
@@ -372,6 +373,13 @@ def _pictures(
         losses.append((number, "it continues with other streams"))
 
 
+def _name(path: str) -> str:
+    """The name of a video; without the secrets of an address."""
+    if "://" in path:
+        return named(path)
+    return Path(path).stem
+
+
 def _reason(error: Exception) -> str:
     """FFmpeg's description of an error, without its call and number."""
     return str(getattr(error, "strerror", "") or error)
@@ -384,9 +392,11 @@ def _open(path: str) -> Iterator[tuple[Any, Any]]:
     remote = "://" in path
     try:
         container: Any = av.open(
-            path, timeout=(CONNECT, READ) if remote else None, metadata_errors="replace"
+            filled(path) if remote else path,
+            timeout=(CONNECT, READ) if remote else None,
+            metadata_errors="replace",
         )
-    except (av.FFmpegError, OSError, ValueError) as error:
+    except (av.FFmpegError, OSError, ValueError, LookupError) as error:
         reason = _reason(error)
         if isinstance(error, av.ExitError):
             reason = f"no answer in {CONNECT:g} s"

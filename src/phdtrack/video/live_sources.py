@@ -21,11 +21,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
-from urllib.parse import urlsplit, urlunsplit
+from urllib.parse import urlsplit
 
 import numpy as np
 
-from phdtrack.errors import InputError, needed, shown
+from phdtrack.addresses import filled, shown
+from phdtrack.errors import InputError, needed
 from phdtrack.types import Image
 from phdtrack.video.decoding import bgr
 
@@ -41,6 +42,9 @@ RECENT = 64
 CATCH_UP = 3.0
 # Seconds for which packets may contain no picture.
 UNDECODED = 60.0
+_SECRETS = (
+    "rtsp://{env:USER}:{file:PATH}@host takes them from a variable or a file, and escapes them."
+)
 
 
 class LiveFrame(NamedTuple):
@@ -91,7 +95,8 @@ class LiveSource:
     Parameters
     ----------
     address : ``rtsp://…``, ``http://…`` (MJPEG, HLS), a camera's number, or a file, which is played
-        in a loop.
+        in a loop. A password may be ``{env:NAME}`` or ``{file:PATH}``, which is looked up for each
+        connection.
     connect, read : time-outs in seconds: up to the first picture of a connection, and between
         pictures.
     clock : seconds that only grow, by which pictures arrive and time-outs end.
@@ -278,9 +283,9 @@ class LiveSource:
             options = {"flags": "low_delay", "fpsprobesize": "0"}
         if urlsplit(self.address).scheme.startswith("rtsp"):
             options["rtsp_transport"] = "tcp"
-        with av.open(
-            self.address, options=options, timeout=(self.connect, self.read) if remote else None
-        ) as container:
+        timeout = (self.connect, self.read) if remote else None
+        address = filled(self.address) if remote else self.address
+        with av.open(address, options=options, timeout=timeout) as container:
             stream = container.streams.video[0]
             stream.thread_type = "SLICE"
             paced = not remote or "hls" in container.format.name
@@ -389,28 +394,26 @@ class _Pace:
 
 
 def check_address(address: str) -> None:
-    """Raise `InputError` if it is no address, or if a password contains a / that is not written as
-    %2F.
+    """Raise `InputError` if it is no address, if a password contains characters that end the host
+    of an address and are not escaped, or if a variable or file that it names is missing.
     """
+    if "://" not in address:
+        return
     try:
-        urlsplit(address)
+        plain = filled(address)
+        urlsplit(plain)
+    except LookupError as error:
+        raise InputError(str(error), where="SOURCE", cure=_SECRETS) from None
     except ValueError:
         # The original message may contain a part of a password.
         raise InputError("this is not an address", where="SOURCE") from None
     # The part before the first / is no host with a port.
-    before = re.match(r"[A-Za-z0-9+.-]+://([^/@?]*):([^/@?]*)/[^?]*@", address)
-    if before and not (before[2].isdecimal() and re.search(r"[.\]]", before[1])):
+    before = re.match(r"[A-Za-z0-9+.-]+://([^/@?#]*):([^/@?#]*)[/?#].*@", plain, re.DOTALL)
+    slash = before and not (before[2].isdecimal() and re.search(r"[.\]]", before[1]))
+    if slash or re.match(r"[A-Za-z0-9+.-]+://[^/]*([?#].*@|\s.*@)", plain, re.DOTALL):
         raise InputError(
-            "expected user:password@host in the address, got an @ after the first /",
+            "expected user:password@host in the address, got an @ after the first /, ?, # or blank",
             where="SOURCE",
-            cure="Write / in a password as %2F, and @ after the host as %40.",
+            cure="Write / in a password as %2F, ? as %3F, # as %23, a blank as %20, and @ after the"
+            f" host as %40. {_SECRETS}",
         )
-
-
-def named(address: str) -> str:
-    """A short name of a source for folders and pages, of letters, digits, points and hyphens."""
-    plain = shown(address)
-    parts = urlsplit(plain)
-    if parts.netloc:
-        plain = urlunsplit(("", parts.netloc.rpartition("@")[2], parts.path, "", ""))
-    return re.sub(r"[^A-Za-z0-9.-]+", "-", plain).strip("-.") or "camera"
