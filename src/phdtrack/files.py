@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import ctypes
 import errno
 import math
@@ -32,6 +33,10 @@ MAX_SIZE = 4_000_000_000
 _LONG_NUMBER = re.compile(rb"\d[\d_]{299}|0x[\da-fA-F_]{250}")
 # A name of a hundred parts in TOML, whose parser takes minutes for ten thousand.
 _LONG_NAME = re.compile(rb"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){100}")
+# Bytes that are no UTF-8, and a comment at the end of a line without quotes.
+_NO_TEXT = re.compile(r"[\udc80-\udcff]")
+_NO_BYTE = re.compile(r"[\ud800-\udc7f\udd00-\udfff]")
+_COMMENT = re.compile(r"#[^\n\"']*$", re.MULTILINE)
 # Depth of nested elements: each one knows those around it.
 _DEEPEST = 100
 # Parameters of mallopt: the number of heaps, and the size in bytes from which memory comes from the
@@ -40,6 +45,19 @@ _DEEPEST = 100
 _M_ARENA_MAX = -8
 _M_MMAP_THRESHOLD = -3
 _LARGE = 4_000_000
+
+
+def readable_name(text: str) -> str:
+    """The text with the bytes of names that Python could not decode, for output: as characters if
+    they are UTF-8, as replacement characters otherwise.
+    """
+    bytes_ = _NO_BYTE.sub("\N{REPLACEMENT CHARACTER}", text).encode("utf-8", "surrogateescape")
+    return bytes_.decode("utf-8", "replace")
+
+
+def ffmpeg_name(path: AnyPath) -> str:
+    """The name by which FFmpeg opens a file: without ``file:``, ``a:b.mp4`` would be an address."""
+    return f"file:{os.fspath(path)}"
 
 
 def part_of(path: Path) -> Path:
@@ -166,13 +184,16 @@ def parse_toml(path: Path, content: bytes) -> dict[str, Any]:
     """The tables in TOML; `InputError` names the line of the first error."""
     import tomllib
 
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        # Written by the redirection of PowerShell.
+        content = content.decode("utf-16", "replace").encode()
     _refuse_long_numbers(path, content)
     if match := _LONG_NAME.search(content):
         raise InputError(
             "expected a name, got one of a hundred parts", where=_line_of(path, content, match)
         )
     try:
-        return tomllib.loads(content.decode("utf-8-sig"))
+        return tomllib.loads(_toml_text(content))
     except UnicodeDecodeError:
         raise InputError("expected a TOML file, got bytes that are no text", where=path) from None
     except RecursionError:
@@ -184,6 +205,16 @@ def parse_toml(path: Path, content: bytes) -> dict[str, Any]:
         if number := re.match(r"line (\d+)", position):
             line = int(number[1])
         raise InputError(f"not TOML: {reason}", where=f"{path}, line {line}") from None
+
+
+def _toml_text(content: bytes) -> str:
+    """The text of a TOML file. Comments may be in any encoding, as those that `phdtrack settings`
+    prints on a terminal that is not UTF-8. Raises ``UnicodeDecodeError`` for other bytes.
+    """
+    text = content.decode("utf-8-sig", "surrogateescape")
+    if _NO_TEXT.search(_COMMENT.sub("", text)):
+        return content.decode("utf-8-sig")
+    return text
 
 
 def _refuse_long_numbers(path: Path, content: bytes) -> None:

@@ -23,6 +23,7 @@ from typer.core import TyperCommand
 from phdtrack import __version__
 from phdtrack.addresses import shown
 from phdtrack.cli import signals
+from phdtrack.cli.output import use_replacements
 from phdtrack.errors import InputError, absent, interrupted
 
 Command = Callable[..., None]
@@ -226,6 +227,7 @@ def main() -> None:
         line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
         name = "".join(line.split()[1:2])
     sys.setswitchinterval(_SWITCH)
+    use_replacements()
     try:
         # A signal may arrive before this has returned.
         signals.listen()

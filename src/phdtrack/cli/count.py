@@ -21,7 +21,7 @@ from phdtrack.cli.track import command_line, run_and_print
 from phdtrack.clock import Clock
 from phdtrack.detect.convert import check_units
 from phdtrack.errors import InputError
-from phdtrack.files import read_toml, write_text
+from phdtrack.files import read_toml, readable_name, write_text
 from phdtrack.formats import Conventions, read_detections
 from phdtrack.live.counting import HEAD, CountObserver
 from phdtrack.live.events import Watch
@@ -331,4 +331,4 @@ def _place(where: str, text: str, *, closed: bool) -> Place:
         if closed:
             form = "NAME=x1,y1,x2,y2,x3,y3,…"
         raise InputError(f"expected {form} in pixels, got {text!r}", where=where)
-    return Place(name, tuple(zip(values[::2], values[1::2], strict=True)), closed)
+    return Place(readable_name(name), tuple(zip(values[::2], values[1::2], strict=True)), closed)

@@ -7,7 +7,6 @@ is 1 if a file could not be completed.
 
 from __future__ import annotations
 
-import json
 import math
 import queue
 import re
@@ -25,10 +24,9 @@ from phdtrack.addresses import filled, named, shown
 from phdtrack.cli import options as given
 from phdtrack.cli import signals
 from phdtrack.cli.options import PageOptions, option, size
-from phdtrack.cli.output import Output, counted
+from phdtrack.cli.output import Output, counted, json_text
 from phdtrack.detect.base import class_names
 from phdtrack.errors import InputError
-from phdtrack.files import json_value
 from phdtrack.live.camera_setup import CameraSetup
 from phdtrack.live.checkpoint import EVERY
 from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook, receivers
@@ -303,7 +301,7 @@ def _print(lines: queue.Queue[dict[str, object]], output: Output, wait: float = 
         else:
             line = lines.get_nowait()
         while output.json:
-            print(json.dumps(json_value(line), ensure_ascii=False, allow_nan=False), flush=True)
+            print(json_text(line), flush=True)
             line = lines.get_nowait()
 
 

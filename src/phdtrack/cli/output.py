@@ -10,9 +10,10 @@ import logging
 import math
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import TextIOWrapper
 from typing import Any
 
 from phdtrack.addresses import shown
@@ -109,7 +110,7 @@ class Output:
     def document(self, value: dict[str, Any]) -> None:
         """Print the one JSON object if `json` is set; NaN and infinities become null."""
         if self.json:
-            print(json.dumps(json_value(value), indent=2, allow_nan=False, ensure_ascii=False))
+            print(json_text(value, indent=2))
 
     def table(
         self, head: Sequence[str], rows: Sequence[Sequence[str]], *, words: Sequence[int] = (0,)
@@ -129,6 +130,28 @@ class Output:
                 for i, (cell, width) in enumerate(pairs)
             ]
             self.say("  ".join(cells).rstrip())
+
+
+def use_replacements() -> None:
+    """Let stdout and stderr print ? in place of characters that their encoding does not have, as on
+    a terminal or in a file that is not UTF-8.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
+def json_text(value: Mapping[str, Any], indent: int | None = None) -> str:
+    """The JSON of a value; NaN and infinities become null. Characters that stdout cannot print are
+    escaped, so that nothing is lost.
+    """
+    plain = json_value(value)
+    text = json.dumps(plain, indent=indent, allow_nan=False, ensure_ascii=False)
+    try:
+        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+    except UnicodeEncodeError:
+        return json.dumps(plain, indent=indent, allow_nan=False)
+    return text
 
 
 def number(value: float | None, digits: int = 3) -> str:

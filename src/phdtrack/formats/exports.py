@@ -82,8 +82,9 @@ def export_tracks(
         case "parquet":
             arrow = needed("pyarrow")
             parquet = needed("pyarrow.parquet")
-            with whole(path) as part:
-                parquet.write_table(arrow.table(columns), part, compression="zstd")
+            # Arrow opens files of names in UTF-8 only.
+            with whole(path) as part, part.open("wb") as content:
+                parquet.write_table(arrow.table(columns), content, compression="zstd")
             return
         case _:
             raise InputError(

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.errors import InputError
-from phdtrack.files import AnyPath, cannot_write, part_of, publish
+from phdtrack.files import AnyPath, cannot_write, part_of, publish, readable_name
 from phdtrack.types import (
     F8,
     I8,
@@ -87,7 +87,7 @@ class Lines:
             text = f"{pattern}\n"
         if not text or not self._whole:
             return
-        data = memoryview(text.encode("utf-8"))
+        data = memoryview(readable_name(text).encode("utf-8"))
         try:
             written = 0
             while written < len(data):

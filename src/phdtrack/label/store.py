@@ -22,6 +22,7 @@ import numpy as np
 
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
+from phdtrack.files import readable_name
 from phdtrack.types import DetectionTable, Truth
 
 Mark = Literal["false", "birth", "true", "none"]
@@ -145,7 +146,7 @@ class LabelStore:
         store = cls(path)
         about = {
             "format": FORMAT,
-            "source": source,
+            "source": readable_name(source),
             "detections": digest,
             "name": secrets.token_hex(8),
         }

@@ -197,11 +197,9 @@ class RowsLog:
             # Files that somebody has changed or cut are skipped.
             with suppress(OSError, ValueError, IndexError):
                 if file.suffix == ".parquet":
-                    return int(
-                        needed("pyarrow.parquet")
-                        .read_table(file, columns=["frame"])["frame"][-1]
-                        .as_py()
-                    )
+                    with file.open("rb") as content:
+                        table = needed("pyarrow.parquet").read_table(content, columns=["frame"])
+                    return int(table["frame"][-1].as_py())
                 return int(_last_line(file).split(",")[1])
         return 0
 
@@ -225,8 +223,10 @@ class RowsLog:
         done = self._segments.finish()
         if done is not None and self._parquet:
             csv, parquet = (needed(f"pyarrow.{name}") for name in ("csv", "parquet"))
-            with whole(done.with_suffix(".parquet")) as part:
-                parquet.write_table(csv.read_csv(done), part, compression="zstd")
+            file = done.with_suffix(".parquet")
+            # Arrow opens files of names in UTF-8 only.
+            with done.open("rb") as rows, whole(file) as part, part.open("wb") as content:
+                parquet.write_table(csv.read_csv(rows), content, compression="zstd")
             done.unlink()
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from phdtrack.clock import Clock
 from phdtrack.errors import needed
-from phdtrack.files import whole
+from phdtrack.files import readable_name, whole
 from phdtrack.run import directory as rundir
 
 # The columns of tracks.csv; x and y are null if the place is unknown, `class` without classes.
@@ -36,15 +36,17 @@ def write_rows(name: str, folder: Path, file: Path, fps: float, video: Clock | N
     table = arrow.table({column: arrow.array([], kind) for column, kind in types.items()})
     tracks = folder / rundir.TRACKS
     if tracks.stat().st_size:
+        # Arrow opens files of names in UTF-8 only.
         with tracks.open("rb") as lines:
             width = lines.readline().count(b",") + 1
-        reading = csv.ReadOptions(column_names=list(_COLUMNS[:width]))
-        converting = csv.ConvertOptions(column_types=types)
-        table = csv.read_csv(tracks, read_options=reading, convert_options=converting)
+            lines.seek(0)
+            reading = csv.ReadOptions(column_names=list(_COLUMNS[:width]))
+            converting = csv.ConvertOptions(column_types=types)
+            table = csv.read_csv(lines, read_options=reading, convert_options=converting)
     number = table["frame"].to_numpy()
     nowhere = table["z"].to_numpy() != 0
     columns = {
-        "video": arrow.array([name] * len(number), arrow.string()),
+        "video": arrow.array([readable_name(name)] * len(number), arrow.string()),
         "frame": table["frame"],
         "time": rundir.run_clock(folder, fps, video).times(number),
     }
@@ -54,5 +56,5 @@ def write_rows(name: str, folder: Path, file: Path, fps: float, video: Clock | N
     }
     columns.setdefault("class", arrow.nulls(len(number), arrow.string()))
     del columns["z"]
-    with whole(file) as part:
-        parquet.write_table(arrow.table(columns), part, compression="zstd")
+    with whole(file) as part, part.open("wb") as content:
+        parquet.write_table(arrow.table(columns), content, compression="zstd")

@@ -26,7 +26,7 @@ from typing import Any
 from phdtrack.addresses import shown
 from phdtrack.clock import Clock
 from phdtrack.errors import InputError, absent
-from phdtrack.files import load, read_json
+from phdtrack.files import load, read_json, readable_name
 from phdtrack.report import write_run
 from phdtrack.run import directory as rundir
 from phdtrack.run.detection_log import source_of
@@ -44,6 +44,8 @@ DOCUMENT = "batch.json"
 RUNS = "runs"
 ROWS = "tracks"
 SEGMENTS = "segments"
+# Bytes of a name, which ".parquet.part" follows: file systems allow 255.
+_LONGEST_NAME = 242
 # Seconds in which another process that joins the same segments is done.
 _PATIENCE = 60.0
 VIDEOS = (
@@ -370,12 +372,23 @@ def names(sources: Sequence[str]) -> list[str]:
     parts = [_named_parts(Path(source)) for source in sources]
     for depth in range(1, max(map(len, parts)) + 1):
         # Tools that read a folder of Parquet files skip names that begin with a dot or underscore.
-        found = [re.sub(r"^[._]+", "", "-".join(each[-depth:])) for each in parts]
+        found = [
+            _cut(re.sub(r"^[._]+", "", readable_name("-".join(each[-depth:])))) for each in parts
+        ]
         if all(found) and len(set(found)) == len(found):
             return found
     twice = max(found, key=found.count)
     cure = "Rename one, or make two batches."
     raise InputError(f"two sources would both be called {twice}", where="SOURCE", cure=cure)
+
+
+def _cut(name: str) -> str:
+    """The name, with a digest in place of the end that the names of its files have no room for."""
+    whole = os.fsencode(name)
+    if len(whole) <= _LONGEST_NAME:
+        return name
+    digest = sha256(whole).hexdigest()[:8]
+    return f"{os.fsdecode(whole[: _LONGEST_NAME - 9]).rstrip()}-{digest}"
 
 
 def _named_parts(path: Path) -> tuple[str, ...]:

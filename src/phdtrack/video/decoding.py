@@ -23,6 +23,7 @@ import numpy as np
 from phdtrack.addresses import filled, named
 from phdtrack.clock import Clock, settled
 from phdtrack.errors import InputError, needed
+from phdtrack.files import ffmpeg_name, readable_name
 from phdtrack.types import Frame, Image, SequenceInfo
 from phdtrack.video.image_folder import known_rate
 from phdtrack.video.video_source import Read, VideoSource
@@ -377,7 +378,7 @@ def _name(path: str) -> str:
     """The name of a video; without the secrets of an address."""
     if "://" in path:
         return named(path)
-    return Path(path).stem
+    return readable_name(Path(path).stem)
 
 
 def _reason(error: Exception) -> str:
@@ -392,7 +393,7 @@ def _open(path: str) -> Iterator[tuple[Any, Any]]:
     remote = "://" in path
     try:
         container: Any = av.open(
-            filled(path) if remote else path,
+            filled(path) if remote else ffmpeg_name(path),
             timeout=(CONNECT, READ) if remote else None,
             metadata_errors="replace",
         )

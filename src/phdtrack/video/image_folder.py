@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.files import readable_name
 from phdtrack.types import Frame, Image, SequenceInfo
 from phdtrack.video.video_source import Read, VideoSource
 
@@ -38,7 +39,7 @@ def image_source(files: Sequence[Path], fps: float, folder: Path) -> VideoSource
     folder : names the sequence. MOTChallenge puts images into ``NAME/img1``, which is called NAME.
     """
     folder = folder.resolve()
-    name = folder.parent.name if folder.name == "img1" else folder.name
+    name = readable_name(folder.parent.name if folder.name == "img1" else folder.name)
     if not files:
         raise InputError(
             "there is no image",

@@ -27,6 +27,7 @@ import numpy as np
 
 from phdtrack.addresses import filled, shown
 from phdtrack.errors import InputError, needed
+from phdtrack.files import ffmpeg_name
 from phdtrack.types import Image
 from phdtrack.video.decoding import bgr
 
@@ -284,7 +285,7 @@ class LiveSource:
         if urlsplit(self.address).scheme.startswith("rtsp"):
             options["rtsp_transport"] = "tcp"
         timeout = (self.connect, self.read) if remote else None
-        address = filled(self.address) if remote else self.address
+        address = filled(self.address) if remote else ffmpeg_name(self.address)
         with av.open(address, options=options, timeout=timeout) as container:
             stream = container.streams.video[0]
             stream.thread_type = "SLICE"

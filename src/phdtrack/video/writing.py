@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError, needed
-from phdtrack.files import cannot_write, part_of, publish
+from phdtrack.files import cannot_write, ffmpeg_name, part_of, publish
 from phdtrack.types import Image
 
 ENCODERS = [
@@ -107,7 +107,9 @@ class VideoWriter:
                 "flush_packets": "1",
             }
         try:
-            self._container: Any = av.open(str(self._file), "w", format="mp4", options=muxing)
+            self._container: Any = av.open(
+                ffmpeg_name(self._file), "w", format="mp4", options=muxing
+            )
             self._stream: Any = self._container.add_stream(name, rate=rate, options=options)
             self._stream.width, self._stream.height = padded
             self._stream.pix_fmt = "yuv420p"
