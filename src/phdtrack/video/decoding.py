@@ -45,6 +45,8 @@ _MIN_STEPS = 8
 _FASTER = 10.0
 _GUESSED_FASTER = 1.5
 _SLOWER = 20.0
+# FFmpeg's dispositions of attached pictures, timed thumbnails and still images.
+_PICTURES = 0x400 | 0x800 | 0x100000
 _CONVERT = "convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)"
 
 
@@ -374,6 +376,17 @@ def _pictures(
         losses.append((number, "it continues with other streams"))
 
 
+def video_stream(container: Any) -> Any | None:
+    """The first video stream of a container that is no cover, thumbnail or other single picture
+    beside a video; None if there is none.
+    """
+    streams = [
+        stream for stream in container.streams.video if not stream.disposition.value & _PICTURES
+    ]
+    moving = [stream for stream in streams if stream.frames != 1]
+    return next(iter(moving or streams), None)
+
+
 def _name(path: str) -> str:
     """The name of a video; without the secrets of an address."""
     if "://" in path:
@@ -411,10 +424,11 @@ def _open(path: str) -> Iterator[tuple[Any, Any]]:
             f"this cannot be read as a video ({reason})", where=path, cure=cure
         ) from None
     with container:
-        stream = next(iter(container.streams.video), None)
+        stream = video_stream(container)
         if stream is None:
+            found = ", only a picture such as a cover" if container.streams.video else ""
             raise InputError(
-                "there is no video in this file",
+                f"there is no video in this file{found}",
                 where=path,
                 cure=f"Give another one, or {_CONVERT}.",
             )

@@ -29,7 +29,7 @@ from phdtrack.addresses import filled, shown
 from phdtrack.errors import InputError, needed
 from phdtrack.files import ffmpeg_name
 from phdtrack.types import Image
-from phdtrack.video.decoding import bgr
+from phdtrack.video.decoding import bgr, video_stream
 
 State = Literal["connecting", "live", "silent", "down"]
 # Seconds between two attempts to connect: the first, and the longest.
@@ -287,7 +287,9 @@ class LiveSource:
         timeout = (self.connect, self.read) if remote else None
         address = filled(self.address) if remote else ffmpeg_name(self.address)
         with av.open(address, options=options, timeout=timeout) as container:
-            stream = container.streams.video[0]
+            stream = video_stream(container)
+            if stream is None:
+                raise OSError("there is no video in it")
             stream.thread_type = "SLICE"
             paced = not remote or "hls" in container.format.name
             pace = _Pace(self.read, self.clock, self.stopped)
