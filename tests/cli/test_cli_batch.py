@@ -28,7 +28,7 @@ from pyarrow import parquet
 from phdtrack.errors import InputError
 from phdtrack.formats import TracksWriter, read_tracks
 from phdtrack.run.parquet_rows import write_rows
-from phdtrack.run.video_batch import expanded, names
+from phdtrack.run.video_batch import expanded, left_out, names
 from phdtrack.types import Tracks
 from phdtrack.video import VideoWriter
 
@@ -337,6 +337,36 @@ def test_lists_folders_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert names(["/data/n/1.mp4", "/data/s/1.mp4", "/data/s/_2.mp4"]) == ["n-1", "s-1", "s-_2"]
     with pytest.raises(InputError, match=r"would both be called data-s-1"):
         names(["/data/s/1.mp4", "/data/s/1.avi"])
+
+
+def test_a_folder_has_what_track_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("in").mkdir()
+    videos = ["a.mp4", "b.3gp", "c.m2ts", "d.asf", "e.h264", "g.gif", "i.divx"]
+    for name in (*videos, "notes.txt", "thumb.png", "a.srt", "z.bin", ".h.mp4", "._a.mp4"):
+        Path("in", name).write_bytes(b"?")
+    with VideoWriter(Path("in/other.dav"), 64, 48, 10) as video:
+        video.write(np.zeros((48, 64, 3), np.uint8))
+    assert list(expanded("in")) == [f"in/{name}" for name in sorted([*videos, "other.dav"])]
+    assert left_out("in") == "in: left out a.srt, notes.txt, thumb.png and 1 more: no videos"
+    assert left_out("in/a.mp4") == ""
+
+
+def test_a_folder_of_sequences_is_many_videos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in (
+        "in/A/img1/1.jpg",
+        "in/A/img1/2.jpg",
+        "in/A/gt/gt.txt",
+        "in/B/1.png",
+        "in/B/.2.png",
+    ):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+    assert list(expanded("in")) == ["in/A/img1", "in/B"]
+    assert left_out("in") == "in: left out A/gt/gt.txt: no videos"
 
 
 def test_places_classes_and_times_are_in_the_rows(tmp_path: Path) -> None:

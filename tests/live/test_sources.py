@@ -148,12 +148,12 @@ def test_a_stream_faster_than_the_clock_is_shown(
         for k in range(100):
             clock.advance(0.125)
             before = source.status().frames
-            picture = SimpleNamespace(time=10.0 * k, width=64, height=48)
+            picture = SimpleNamespace(time=10.0 * k, width=64, height=48, rotation=0)
             yield SimpleNamespace(decode=lambda picture=picture: [picture])
             arrived.extend([k] * (source.status().frames - before))
         source.stop()
 
-    stream = SimpleNamespace(thread_type="")
+    stream = SimpleNamespace(thread_type="", frames=0, disposition=SimpleNamespace(value=0))
     container = SimpleNamespace(
         format=SimpleNamespace(name="mpegts"),
         streams=SimpleNamespace(video=[stream]),
@@ -246,7 +246,7 @@ def test_whatever_a_source_raises_it_is_tried_again(
         broken.setattr(av, "open", lambda *_, **__: nullcontext(container))
         source = LiveSource(server.url)
         source.start()
-        until(lambda: source.status().problem == "list index out of range")
+        until(lambda: source.status().problem == "there is no video in it")
     waited(source, "live")
     source.stop()
 

@@ -9,7 +9,7 @@ from video_clips import picture
 
 from phdtrack.errors import InputError
 from phdtrack.video import open_source
-from phdtrack.video.image_folder import frame_numbers
+from phdtrack.video.file_names import numbering
 
 
 def save(folder: Path, names: list[str]) -> None:
@@ -71,7 +71,7 @@ def test_pattern_selects_files_and_assumed_rate_is_noted(tmp_path: Path) -> None
     ],
 )
 def test_frame_numbers_come_from_file_names(stems: list[str], numbers: list[int]) -> None:
-    assert frame_numbers(stems) == numbers
+    assert numbering(stems).numbers == numbers
 
 
 def test_unreadable_images_are_named(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from phdtrack.errors import InputError, needed
 from phdtrack.parallel import Failed, on_ray, outcomes
 from phdtrack.report import write_run
 from phdtrack.run.requests import RunRequest
-from phdtrack.run.video_batch import DOCUMENT, ROWS, BatchPlan, BatchVideo
+from phdtrack.run.video_batch import DOCUMENT, ROWS, BatchPlan, BatchVideo, left_out
 
 _SOURCES = "Videos, folders and patterns of them, files of detections, @FILE for a list of these."
 _ENGINE = "Processes of this machine, or a Ray cluster, which has the same files."
@@ -94,6 +94,7 @@ def batch(
         track_request(words), words, out, cutting.segment, cutting.overlap, anew=overwrite
     )
     work = Work.of(plan.videos(sources), share, None if overwrite else out)
+    output.warn(filter(None, map(left_out, sources)))
     before = work.complete_videos
     began = time.perf_counter()
     file = out / DOCUMENT

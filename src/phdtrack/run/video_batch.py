@@ -38,6 +38,7 @@ from phdtrack.run.requests import RunRequest, SourceRequest, for_name
 from phdtrack.run.segments import Segment, cut, join
 from phdtrack.video import open_source
 from phdtrack.video.image_folder import SUFFIXES
+from phdtrack.video.opening import holds_sequence, is_image, is_video
 
 # In a folder of a run what decided it, and in that of the batch the summary.
 DOCUMENT = "batch.json"
@@ -48,20 +49,18 @@ SEGMENTS = "segments"
 _LONGEST_NAME = 242
 # Seconds in which another process that joins the same segments is done.
 _PATIENCE = 60.0
-VIDEOS = (
-    ".avi",
-    ".flv",
-    ".m4v",
-    ".mkv",
-    ".mov",
-    ".mp4",
-    ".mpeg",
-    ".mpg",
-    ".mts",
-    ".ts",
-    ".webm",
-    ".wmv",
+# Suffixes of files beside videos that are not tried as videos.
+_OTHERS = frozenset(
+    f".{suffix}"
+    for suffix in (
+        *("aac", "ass", "bmp", "cfg", "db", "doc", "docx", "flac", "gz", "htm", "html", "ini"),
+        *("ipynb", "log", "m4a", "md", "mp3", "npy", "npz", "onnx", "opus", "part", "pdf", "pt"),
+        *("pth", "py", "rar", "sh", "sqlite", "srt", "svg", "tar", "toml", "vtt", "wav", "yaml"),
+        *("yml", "zip"),
+    )
 )
+# Names of files that a sentence lists.
+_LISTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,9 +344,8 @@ def expanded(word: str) -> Iterator[str]:
         raise InputError("a batch is of files, which have an end", where=word, cure=cure)
     path = Path(word)
     files = [word]
-    if path.is_dir() and not any(map(_is_image, path.iterdir())):
-        inside = glob.glob(f"{glob.escape(word)}/**", recursive=True)
-        files = [name for name in inside if name.lower().endswith(VIDEOS)]
+    if path.is_dir():
+        files = _contents(word)[0]
     elif not path.exists() and set(word) & set("*?["):
         files = glob.glob(word, recursive=True)
         if files and all(map(_is_image, files)):
@@ -361,8 +359,63 @@ def expanded(word: str) -> Iterator[str]:
     yield from files
 
 
+def left_out(word: str) -> str:
+    """A sentence with the files of a folder that are not tracked; empty if all are, or if the word
+    is no folder.
+    """
+    if word.startswith("@") or not Path(word).is_dir():
+        return ""
+    others = [os.path.relpath(name, word) for name in _contents(word)[1]]
+    if not others:
+        return ""
+    more = len(others) - _LISTED
+    rest = f" and {more} more" if more > 0 else ""
+    return f"{word}: left out {', '.join(others[:_LISTED])}{rest}: no videos"
+
+
+def _contents(folder: str) -> tuple[list[str], list[str]]:
+    """The sources in a folder and the folders in it, and the files beside them.
+
+    Sources are the folder itself if it is an image sequence; else all videos; without any, folders
+    that are image sequences. Hidden files and the files of runs are neither.
+    """
+    runs = set[str]()
+    found = dict[str, list[str]]()
+    for name in sorted(glob.glob(f"{glob.escape(folder)}/**", recursive=True)):
+        home = os.path.dirname(name)
+        if os.path.isdir(name):
+            written = rundir.is_run(Path(name)) or os.path.exists(os.path.join(name, DOCUMENT))
+            if written or home in runs:
+                runs.add(name.rstrip("/"))
+        elif home not in runs and os.path.basename(name) not in rundir.RUN_FILES:
+            found.setdefault(home, []).append(name)
+    videos = {home: list(filter(_is_video, names)) for home, names in found.items()}
+    images = {home: sum(map(_is_image, names)) for home, names in found.items()}
+    own = os.path.dirname(f"{folder}/x")
+    every = [name for names in found.values() for name in names]
+    sequences = [home for home in found if holds_sequence(images[home], len(videos[home]))]
+    if own in sequences:
+        return [folder], []
+    sources = [name for names in videos.values() for name in names] or sequences
+    taken = set(sources)
+    return sources, [one for one in every if not taken & {one, os.path.dirname(one)}]
+
+
+def _is_video(name: str) -> bool:
+    """True for a file that is a video by its name; FFmpeg tries others that may be one."""
+    path = Path(name)
+    suffix = path.suffix.lower()
+    if is_video(path):
+        return True
+    if suffix in SUFFIXES or suffix in TABLES or suffix in _OTHERS or not os.path.getsize(path):
+        return False
+    with suppress(InputError, OSError):
+        return bool(open_source(path))
+    return False
+
+
 def _is_image(name: str | Path) -> bool:
-    return Path(name).suffix.lower() in SUFFIXES
+    return is_image(Path(name))
 
 
 def names(sources: Sequence[str]) -> list[str]:

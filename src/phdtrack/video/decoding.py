@@ -25,7 +25,7 @@ from phdtrack.clock import Clock, settled
 from phdtrack.errors import InputError, needed
 from phdtrack.files import ffmpeg_name, readable_name
 from phdtrack.types import Frame, Image, SequenceInfo
-from phdtrack.video.image_folder import known_rate
+from phdtrack.video.image_folder import head_of, is_animated_webp, known_rate
 from phdtrack.video.video_source import Read, VideoSource
 
 # Seconds to wait for an address to be opened, and for more data from it.
@@ -74,6 +74,12 @@ def file_source(path: str, fps: float, first: int) -> VideoSource:
                 measured = _measured_rate(container, stream)
     if picture is None:
         reason = f" ({losses[0][1]})" if losses else ""
+        if "://" not in path and is_animated_webp(head_of(Path(path))):
+            raise InputError(
+                "this is an animated WebP, which FFmpeg cannot decode",
+                where=path,
+                cure="Convert it with another program: magick IN.webp OUT.mp4",
+            )
         raise InputError(
             f"no frame could be decoded{reason}",
             where=path,

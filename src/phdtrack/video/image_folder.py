@@ -1,18 +1,13 @@
 """A sequence of image files as a source of frames.
 
-The files are put in natural order (``img2`` before ``img10``). The last number in each name is the
-number of the frame, counted from the first file as frame 1 in steps of the names' common divisor: a
-file missing from ``000001.jpg 000002.jpg 000004.jpg`` is a dropped frame, and the time between
-frames 2 and 4 is two intervals. Files are simply counted if their names have no numbers, if the
-numbers do not increase, or if more than nine in ten frames would be missing (time stamps).
+The files are put in natural order (``img2`` before ``img10``); `file_names` has what the names say.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +15,10 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.files import readable_name
 from phdtrack.types import Frame, Image, SequenceInfo
+from phdtrack.video.file_names import numbering
 from phdtrack.video.video_source import Read, VideoSource
 
 SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"})
-# Frames per file above which the numbers in the names are not those of frames.
-_MAX_SPACING = 10
 _DEFAULT_FPS = 25.0
 _DIGITS = re.compile(r"\d+")
 
@@ -35,7 +29,7 @@ def image_source(files: Sequence[Path], fps: float, folder: Path) -> VideoSource
     Parameters
     ----------
     files : at least one image. Raises `InputError` otherwise.
-    fps : frames per second; 0: 25.
+    fps : frames per second; 0: that of the times in the names, or 25.
     folder : names the sequence. MOTChallenge puts images into ``NAME/img1``, which is called NAME.
     """
     folder = folder.resolve()
@@ -50,21 +44,37 @@ def image_source(files: Sequence[Path], fps: float, folder: Path) -> VideoSource
     paths = sorted(
         files, key=lambda path: _DIGITS.sub(lambda digits: digits[0].zfill(30), path.name)
     )
-    numbers = frame_numbers([path.stem for path in paths])
-    rate, note = known_rate(fps, "images do")
+    names = numbering([path.stem for path in paths])
+    numbers = names.numbers
+    if fps > 0:
+        # The rate replaces the times.
+        names = replace(names, times=[], note=names.note * (not names.times))
+    rate, unknown = known_rate(fps or names.rate, "images do")
+    times = names.times or [(number - 1) / rate for number in numbers]
+    animated = ""
+    if is_animated_webp(head_of(paths[0])):
+        animated = f"{paths[0].name} is animated: of such files only the first picture is read"
+    note = "; ".join(filter(None, (names.note, animated, unknown)))
     height, width = _image(paths[0]).shape[:2]
 
     def read(source: VideoSource) -> Iterator[Read]:
-        for path, number in zip(paths, numbers, strict=True):
+        for path, number, time in zip(paths, numbers, times, strict=True):
             if number >= source.first:
-                yield number, (number - 1) / rate, _image(path), f"{path}, frame {number}"
+                yield number, time, _image(path), f"{path}, frame {number}"
 
     def sample(count: int) -> Iterator[Frame]:
         for k in np.unique(np.linspace(0, len(paths) - 1, count).round().astype(int)).tolist():
-            yield Frame(numbers[k], (numbers[k] - 1) / rate, _image(paths[k]))
+            yield Frame(numbers[k], times[k], _image(paths[k]))
 
     info = SequenceInfo(width, height, rate, len(paths), name)
     return VideoSource(info, read, note, sample=sample, zero=0.0)
+
+
+def is_animated_webp(head: bytes) -> bool:
+    """True for a file that begins with these bytes and is an animated WebP."""
+    if len(head) < 21 or not head.startswith(b"RIFF"):
+        return False
+    return head[8:16] == b"WEBPVP8X" and bool(head[20] & 2)
 
 
 def known_rate(rate: float, subject: str) -> tuple[float, str]:
@@ -74,23 +84,13 @@ def known_rate(rate: float, subject: str) -> tuple[float, str]:
     return _DEFAULT_FPS, f"{subject} not state its rate; {_DEFAULT_FPS:g} frames/s assumed"
 
 
-def frame_numbers(stems: Sequence[str]) -> list[int]:
-    """The frame number, from 1, of each name: by the last number in it if these are plausible, else
-    by counting.
-    """
-    counted = list(range(1, len(stems) + 1))
-    digits = [_DIGITS.findall(stem) for stem in stems]
-    if len(stems) < 2 or not all(digits):
-        return counted
-    numbers = [int(found[-1]) for found in digits]
-    steps = [after - before for before, after in pairwise(numbers)]
-    if min(steps) <= 0:
-        return counted
-    stride = math.gcd(*steps)
-    relative = [(number - numbers[0]) // stride + 1 for number in numbers]
-    if relative[-1] > _MAX_SPACING * len(stems):
-        return counted
-    return relative
+def head_of(path: Path) -> bytes:
+    """The first bytes of a file; none if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(32)
+    except OSError:
+        return b""
 
 
 def _image(path: Path) -> Image:

@@ -29,7 +29,7 @@ from phdtrack.addresses import filled, shown
 from phdtrack.errors import InputError, needed
 from phdtrack.files import ffmpeg_name
 from phdtrack.types import Image
-from phdtrack.video.decoding import bgr, video_stream
+from phdtrack.video.decoding import Decoded, video_stream
 
 State = Literal["connecting", "live", "silent", "down"]
 # Seconds between two attempts to connect: the first, and the longest.
@@ -160,7 +160,7 @@ class LiveSource:
             width = self._status.width
             height = self._status.height
         if not isinstance(picture, np.ndarray):
-            image = bgr(picture, width, height)
+            image = Decoded(picture).bgr((width, height))
         else:
             import cv2
 
@@ -254,7 +254,7 @@ class LiveSource:
         if isinstance(picture, np.ndarray):
             sent = (picture.shape[1], picture.shape[0])
         else:
-            sent = (int(picture.width), int(picture.height))
+            sent = Decoded(picture).size
         width, height = (status.width, status.height) if status.width else sent
         self._status = replace(
             status,
