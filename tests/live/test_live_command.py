@@ -23,13 +23,14 @@ from camera_server import CameraServer, until, walker
 from typer.testing import CliRunner
 
 from phdtrack.cli.app import application
-from phdtrack.cli.live import LiveOptions, camera_settings, named_sources
+from phdtrack.cli.live import LiveOptions, _state, camera_settings, named_sources
 from phdtrack.cli.options import size
 from phdtrack.cli.output import Output
 from phdtrack.live.engine import Camera, CameraSettings
 from phdtrack.live.events import Watch
 from phdtrack.run.requests import TrackingRequest
 from phdtrack.types import SequenceInfo
+from phdtrack.video.live_sources import SourceStatus
 
 pytestmark = pytest.mark.slow
 
@@ -313,3 +314,16 @@ def test_settings_are_those_of_track_with_bounded_history() -> None:
     assert CameraSetup(TrackingRequest(sets=["motion.kind=plane"]), (), "person", 0, None)(
         SequenceInfo(64, 48, 10.0)
     ).groups
+
+
+def test_log_lines_have_times_and_present_problems(tmp_path: Path) -> None:
+    words = ["gate=rtsp://127.0.0.1:9/", "--out", str(tmp_path), "--no-page", "--duration", "1"]
+    result = CliRunner().invoke(application("live"), ["live", *words])
+    time = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z"
+    found = re.findall(rf"^phdtrack: {time} gate: down: Connection refused$", result.stderr, re.M)
+    assert len(found) == 1, result.stderr
+    assert _state(SourceStatus("down", problem="refused")) == ("down", "refused")
+    assert _state(SourceStatus("connecting", problem="refused")) == ("down", "refused")
+    assert _state(SourceStatus("connecting")) == ("connecting", "")
+    assert _state(SourceStatus("live", problem="refused")) == ("live", "")
+    assert _state(SourceStatus("silent", problem="refused")) == ("silent", "")

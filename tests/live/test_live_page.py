@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -234,6 +235,28 @@ def test_a_camera_that_has_ended_is_not_healthy(page: TestClient, tmp_path: Path
     answer = TestClient(live_app([other])).get("/healthz")
     assert (answer.status_code, answer.text) == (503, "yard not working\n")
     assert other.stop(0.1)
+
+
+def test_a_camera_without_a_picture_is_not_healthy(page: TestClient, camera: Camera) -> None:
+    """It is healthy again with the next picture; before the limit it is still so."""
+    source = camera.source
+    working = source.status()
+    assert page.get("/healthz").status_code == 200
+    for state, since, status in (
+        ("down", 31.0, 503),
+        ("connecting", 31.0, 503),
+        ("silent", 31.0, 503),
+        ("down", 29.0, 200),
+        ("live", 3600.0, 200),
+    ):
+        now = replace(working, state=state, since=since)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(LiveSource, "status", lambda source, now=now: now)
+            answer = page.get("/healthz")
+            assert answer.status_code == status
+            assert ("without a picture for 31 s" in answer.text) == (status == 503)
+            assert TestClient(live_app([camera], 60.0)).get("/healthz").status_code == 200
+    assert page.get("/healthz").text == "ok\n"
 
 
 @pytest.fixture(scope="module")

@@ -30,12 +30,13 @@ from phdtrack.errors import InputError
 from phdtrack.live.camera_setup import CameraSetup
 from phdtrack.live.checkpoint import EVERY
 from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook, receivers
-from phdtrack.live.engine import Camera, CameraSettings
+from phdtrack.live.engine import UNHEALTHY, Camera, CameraSettings
 from phdtrack.live.events import Watch
+from phdtrack.live.outputs import stamp
 from phdtrack.run import directory as rundir
 from phdtrack.run.choices import scene_settings
 from phdtrack.run.requests import DEFAULT_DETECTOR, TrackingRequest, refuse
-from phdtrack.video.live_sources import LiveSource, check_address
+from phdtrack.video.live_sources import LiveSource, SourceStatus, check_address
 
 Names = Mapping[int, str] | None
 # Seconds that all cameras may take to end; lines that may wait for a slow reader.
@@ -48,6 +49,7 @@ _PLACES = (
 _QUOTA = (
     "Keep at most so much of the rows, and of the videos, of each camera, as 20GB; default: all."
 )
+_UNHEALTHY = "Seconds without a picture of a camera after which /healthz answers 503."
 _SAVED = "Seconds between checkpoints, from which a restart continues; 0: none."
 _SOURCES = "rtsp://…, http://…, a camera's number or a file; NAME=ADDRESS gives it a name."
 
@@ -78,6 +80,7 @@ class LiveOptions:
     ] = False
     blur: given.Blur = ""
     checkpoint_every: Annotated[float, option("S", _SAVED, min=0.0)] = EVERY
+    unhealthy_after: Annotated[float, option("S", _UNHEALTHY, min=0.0)] = UNHEALTHY
     dwell: given.Dwell = 60.0
     leave_after: given.LeaveAfter = 3.0
 
@@ -136,7 +139,7 @@ def live(
         for one in cameras:
             one.start([Courier(one.log, send, name) for name, send in _receivers(write)])
         if server is not None:
-            server.start(cameras, output)
+            server.start(cameras, output, write.unhealthy_after)
         _attend(cameras, lines, output, time.monotonic() + (duration or math.inf))
     except KeyboardInterrupt:
         signals.last_chance("stopped; the files are being completed")
@@ -236,13 +239,16 @@ class _Server:
 
         self._address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key)
 
-    def start(self, cameras: Sequence[Camera], output: Output) -> None:
-        """Serve the page from now on."""
+    def start(self, cameras: Sequence[Camera], output: Output, patience: float) -> None:
+        """Serve the page from now on; ``patience`` as `live_app` has it."""
         from phdtrack.live.live_page import live_app
         from phdtrack.web.serving import serve
 
         threading.Thread(
-            target=serve, args=(live_app(cameras), self._address), name="phdtrack page", daemon=True
+            target=serve,
+            args=(live_app(cameras, patience), self._address),
+            name="phdtrack page",
+            daemon=True,
         ).start()
         output.page(self._address.url)
 
@@ -257,7 +263,7 @@ def _attend(
         _warn(cameras, output, warned)
         for one in cameras:
             status = one.source.status()
-            now = (status.state, shown(status.problem), *one.problems)
+            now = (*_state(status), *one.problems)
             if said.get(one.name) == now:
                 continue
             said[one.name] = now
@@ -269,6 +275,7 @@ def _attend(
                 }
                 line |= {
                     "kind": "source",
+                    "time": stamp(time.time()),
                     "source": one.name,
                     "state": now[0],
                     "problem": now[1],
@@ -278,9 +285,7 @@ def _attend(
                 with suppress(queue.Full):
                     lines.put_nowait(line)
             elif now[0] != "connecting" or now[1:] != ("",):
-                # Where stderr cannot be written, as on a full disk, the cameras go on.
-                with suppress(OSError):
-                    output.note(": ".join(filter(None, (one.name, *now))))
+                _log(output, ": ".join(filter(None, (one.name, *now))))
         _print(lines, output, 0.2)
 
 
@@ -289,8 +294,26 @@ def _warn(cameras: Sequence[Camera], output: Output, said: dict[str, int]) -> No
     for one in cameras:
         newest = one.warnings[said.get(one.name, 0) :]
         said[one.name] = said.get(one.name, 0) + len(newest)
-        with suppress(OSError):
-            output.warn(f"{one.name}: {sentence}" for sentence in newest)
+        for sentence in newest:
+            _log(output, f"warning: {one.name}: {sentence}")
+
+
+def _state(status: SourceStatus) -> tuple[str, str]:
+    """The state of a source, and why it is down; what ended an earlier connection is over."""
+    if status.state in ("live", "silent"):
+        return status.state, ""
+    if status.problem:
+        # Attempts to connect again are not worth a line each.
+        return "down", shown(status.problem)
+    return status.state, ""
+
+
+def _log(output: Output, sentence: str) -> None:
+    """Print a line with its time. If stderr cannot be written, as on a full disk, the cameras go
+    on.
+    """
+    with suppress(OSError):
+        output.note(f"{stamp(time.time())} {sentence}")
 
 
 def _print(lines: queue.Queue[dict[str, object]], output: Output, wait: float = 0.0) -> None:

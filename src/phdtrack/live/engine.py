@@ -64,6 +64,8 @@ _UNWRITTEN = 1000
 _MEASURED = 10
 _MEASURING = 2.0
 _WATCHED = 3.0
+# Seconds without a picture after which a camera is not healthy.
+UNHEALTHY = 30.0
 # Seconds after a picture that failed: where all do, the processor is not for them alone; until
 # events that could not be written are tried again; for which a file must be as it is before it is
 # read again: it may be written in place.

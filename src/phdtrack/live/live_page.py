@@ -21,7 +21,7 @@ from starlette.routing import Route
 
 from phdtrack.addresses import shown
 from phdtrack.errors import InputError
-from phdtrack.live.engine import Camera
+from phdtrack.live.engine import UNHEALTHY, Camera
 from phdtrack.live.zones import places_of, write_places
 from phdtrack.web.endpoints import Endpoint, endpoint, static
 
@@ -216,8 +216,10 @@ class Page:
         return "\n".join(lines) + "\n"
 
 
-def live_app(cameras: Sequence[Camera]) -> Starlette:
-    """The application, without `web.guard`."""
+def live_app(cameras: Sequence[Camera], patience: float = UNHEALTHY) -> Starlette:
+    """The application, without `web.guard`. A camera without a picture for more than ``patience``
+    seconds is not healthy.
+    """
     page = Page({one.name: one for one in cameras})
 
     async def picture(request: Request) -> Response:
@@ -233,10 +235,8 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
         return Response(status_code=204, headers=headers)
 
     async def health(request: Request) -> Response:
-        dead = [one.name for one in cameras if not one.working]
-        return PlainTextResponse(
-            f"{', '.join(dead)} not working\n" if dead else "ok\n", 503 if dead else 200
-        )
+        ill = [f"{one.name} {why}\n" for one in cameras if (why := _illness(one, patience))]
+        return PlainTextResponse("".join(ill) or "ok\n", 503 if ill else 200)
 
     def known(answer: Endpoint) -> Endpoint:
         """The answer for known cameras and maps; 404 for others."""
@@ -266,6 +266,16 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
             *static(STATIC),
         ]
     )
+
+
+def _illness(one: Camera, patience: float) -> str:
+    """Why a camera is not healthy; empty if it is."""
+    if not one.working:
+        return "not working"
+    status = one.source.status()
+    if status.state == "live" or status.since <= patience:
+        return ""
+    return f"without a picture for {status.since:.0f} s, more than {patience:g} s"
 
 
 def _state(one: Camera) -> str:
