@@ -23,7 +23,7 @@ from camera_server import CameraServer, until, walker
 from typer.testing import CliRunner
 
 from phdtrack.cli.app import application
-from phdtrack.cli.live import LiveOptions, _state, camera_settings, named_sources
+from phdtrack.cli.live import LiveOptions, camera_settings, logged_state, named_sources
 from phdtrack.cli.options import size
 from phdtrack.cli.output import Output
 from phdtrack.live.engine import Camera, CameraSettings
@@ -322,8 +322,8 @@ def test_log_lines_have_times_and_present_problems(tmp_path: Path) -> None:
     time = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z"
     found = re.findall(rf"^phdtrack: {time} gate: down: Connection refused$", result.stderr, re.M)
     assert len(found) == 1, result.stderr
-    assert _state(SourceStatus("down", problem="refused")) == ("down", "refused")
-    assert _state(SourceStatus("connecting", problem="refused")) == ("down", "refused")
-    assert _state(SourceStatus("connecting")) == ("connecting", "")
-    assert _state(SourceStatus("live", problem="refused")) == ("live", "")
-    assert _state(SourceStatus("silent", problem="refused")) == ("silent", "")
+    assert logged_state(SourceStatus("down", problem="refused")) == ("down", "refused")
+    assert logged_state(SourceStatus("connecting", problem="refused")) == ("down", "refused")
+    assert logged_state(SourceStatus("connecting")) == ("connecting", "")
+    assert logged_state(SourceStatus("live", problem="refused")) == ("live", "")
+    assert logged_state(SourceStatus("silent", problem="refused")) == ("silent", "")

@@ -263,7 +263,7 @@ def _attend(
         _warn(cameras, output, warned)
         for one in cameras:
             status = one.source.status()
-            now = (*_state(status), *one.problems)
+            now = (*logged_state(status), *one.problems)
             if said.get(one.name) == now:
                 continue
             said[one.name] = now
@@ -298,7 +298,7 @@ def _warn(cameras: Sequence[Camera], output: Output, said: dict[str, int]) -> No
             _log(output, f"warning: {one.name}: {sentence}")
 
 
-def _state(status: SourceStatus) -> tuple[str, str]:
+def logged_state(status: SourceStatus) -> tuple[str, str]:
     """The state of a source, and why it is down; what ended an earlier connection is over."""
     if status.state in ("live", "silent"):
         return status.state, ""

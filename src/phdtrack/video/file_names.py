@@ -1,4 +1,4 @@
-"""What the names of a sequence of image files say: frame numbers, times, or only an order.
+"""Frame numbers, times, or only an order, from the names of a sequence of image files.
 
 - A date with a time of day (``20241128111015``, ``2024-11-28_11-10-15.040``) or seconds since 1970
   (``1305031102.175304``; whole numbers also in ms, µs or ns) in each name are times.
@@ -36,7 +36,7 @@ _PLAUSIBLE = (1.2e9, 2.5e9)
 
 @dataclass(frozen=True, slots=True)
 class Numbering:
-    """What names say.
+    """Numbers and times of frames, from names.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Numbering:
 
 
 def numbering(stems: Sequence[str]) -> Numbering:
-    """What the names of files in natural order, without suffixes, say."""
+    """Numbers and times of frames, from names in natural order, without their suffixes."""
     counted = list(range(1, len(stems) + 1))
     if len(stems) < 2:
         return Numbering(counted, [])
