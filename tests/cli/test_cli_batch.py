@@ -348,7 +348,7 @@ def test_a_folder_has_what_track_reads(tmp_path: Path, monkeypatch: pytest.Monke
     with VideoWriter(Path("in/other.dav"), 64, 48, 10) as video:
         video.write(np.zeros((48, 64, 3), np.uint8))
     assert list(expanded("in")) == [f"in/{name}" for name in sorted([*videos, "other.dav"])]
-    assert left_out("in") == "in: left out a.srt, notes.txt, thumb.png and 1 more: no videos"
+    assert left_out("in") == "in: left out a.srt, notes.txt, thumb.png and 1 more"
     assert left_out("in/a.mp4") == ""
 
 
@@ -366,7 +366,12 @@ def test_a_folder_of_sequences_is_many_videos(
         Path(name).parent.mkdir(parents=True, exist_ok=True)
         Path(name).touch()
     assert list(expanded("in")) == ["in/A/img1", "in/B"]
-    assert left_out("in") == "in: left out A/gt/gt.txt: no videos"
+    assert left_out("in") == "in: left out A/gt/gt.txt"
+    Path("in/B/copy.mp4").write_bytes(b"?")
+    for k in range(9):
+        Path(f"in/B/{k}.png").touch()
+    assert list(expanded("in/B")) == ["in/B"]
+    assert left_out("in/B") == "in/B: left out copy.mp4"
 
 
 def test_places_classes_and_times_are_in_the_rows(tmp_path: Path) -> None:

@@ -370,7 +370,7 @@ def left_out(word: str) -> str:
         return ""
     more = len(others) - _LISTED
     rest = f" and {more} more" if more > 0 else ""
-    return f"{word}: left out {', '.join(others[:_LISTED])}{rest}: no videos"
+    return f"{word}: left out {', '.join(others[:_LISTED])}{rest}"
 
 
 def _contents(folder: str) -> tuple[list[str], list[str]]:
@@ -395,7 +395,7 @@ def _contents(folder: str) -> tuple[list[str], list[str]]:
     every = [name for names in found.values() for name in names]
     sequences = [home for home in found if holds_sequence(images[home], len(videos[home]))]
     if own in sequences:
-        return [folder], []
+        return [folder], [one for one in every if os.path.dirname(one) != own or not _is_image(one)]
     sources = [name for names in videos.values() for name in names] or sequences
     taken = set(sources)
     return sources, [one for one in every if not taken & {one, os.path.dirname(one)}]
