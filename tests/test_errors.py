@@ -105,7 +105,6 @@ def test_long_error_is_truncated_and_masks_secrets():
     assert said.endswith("rtsp://…@host/?quality=1&Token=…&n=2")
     for user in (
         "me:word",
-        "me:12/word",
         "me:a?word",
         "me:a#word",
         "me:/a?word",
@@ -116,6 +115,8 @@ def test_long_error_is_truncated_and_masks_secrets():
         )
     for address, masked in (
         ("rtsp://cam.lan/stream@1", "rtsp://cam.lan/…"),
+        # A host and its port, or a user and the begin of a password.
+        ("RTSP://me:12/word@host/1", "RTSP://…"),
         ("rtsp://10.0.0.5:554/user=admin@ch1", "rtsp://10.0.0.5:554/user=…"),
     ):
         assert str(InputError(address)) == masked

@@ -61,16 +61,18 @@ _WORD = re.compile(
     r"[a-z]{1,12}|[A-Z]{1,12}|(?:[a-z]{3,12}|[A-Z][a-z]{2,12})(?:[A-Z][a-z]{2,12}){0,2}"
 )
 _NUMBERED = re.compile(r"([A-Za-z]{0,12})\d{1,4}")
+_NAME = re.compile(r"[a-z]{1,12}|[a-z]{0,12}(?:[A-Z][a-z]{2,12}){1,2}|[A-Z]{1,4}")
+_ENDS_HOST = re.compile(r"[/?#\s]")
 _VALUE = re.compile(r"\d{1,5}(?:x\d{1,5})?")
 
 
 def shown(text: str) -> str:
     """The text, an address or a sentence, without the parts of the addresses in it that may be user
-    names, passwords and tokens. Shown again it stays the same.
+    names, passwords and tokens.
     """
     if not any(mark in text for mark in (":/", "@", "=")):
         return text
-    found = list(_SCHEME.finditer(text))
+    found = _beginnings(text)
     if not found:
         return _plain_text(text)
     if not found[0].start():
@@ -125,6 +127,19 @@ def _value(kind: str, name: str) -> str:
         raise LookupError(f"the file {name} cannot be read ({reason})") from None
 
 
+def _beginnings(text: str) -> list[re.Match[str]]:
+    """The schemes of the addresses in a text; one that follows without a blank is a part of the
+    address before.
+    """
+    found = list[re.Match[str]]()
+    before = -1
+    for match in _SCHEME.finditer(text):
+        if before < 0 or any(map(str.isspace, text[before : match.start()])):
+            found.append(match)
+        before = match.end()
+    return found
+
+
 def _end(text: str, match: re.Match[str], limit: int) -> int:
     """The end of an address in a text: the quote that closes it or a blank, except that a password
     before an @ in the same line may have blanks.
@@ -149,12 +164,8 @@ def _address(scheme: str, rest: str) -> str:
     """An address without its secrets; ``rest`` follows the scheme and its slashes."""
     if scheme.lower() == "file://":
         return scheme + rest
-    authority = re.split(r"[/?#\s]", rest, maxsplit=1)[0]
-    user = ""
-    if "@" in rest and not _CERTAIN_HOST.fullmatch(authority):
-        user = "…@"
-        rest = rest.rpartition("@")[2]
-        authority = re.split(r"[/?#\s]", rest, maxsplit=1)[0]
+    user, rest = _without_user(rest)
+    authority = _ENDS_HOST.split(rest, maxsplit=1)[0]
     if not _HOST.fullmatch(authority):
         return f"{scheme}{user}…"
     path, fragment, _ = rest[len(authority) :].partition("#")
@@ -165,13 +176,28 @@ def _address(scheme: str, rest: str) -> str:
     return f"{scheme}{user}{authority}{path}{query}{'#…' if fragment else ''}"
 
 
+def _without_user(rest: str) -> tuple[str, str]:
+    """The user as "…@", empty without one, and what follows; nothing follows if it is not certain
+    where a password ends.
+    """
+    authority = _ENDS_HOST.split(rest, maxsplit=1)[0]
+    user, at, host = rest.rpartition("@")
+    if not at or _CERTAIN_HOST.fullmatch(authority):
+        return "", rest
+    # An @ behind the first / may stand in a password, and in a path.
+    in_host = len(user) < len(authority)
+    if in_host or not ("@" in user or _HOST.fullmatch(authority)):
+        return "…@", host
+    return "", ""
+
+
 def _path(path: str) -> str:
     """A path with its harmless words, and … for others."""
     key = _KEY.search(path)
     pairs = ""
     if key:
-        pairs = _pairs(path[key.start() :])
-        path = path[: key.start()]
+        pairs = path[key.start() - 1] + _pairs(path[key.start() :])
+        path = path[: key.start() - 1]
     parts = path.split("/")
     for k, part in enumerate(parts):
         after_login = k > 0 and _LOGIN.search(parts[k - 1])
@@ -182,12 +208,10 @@ def _path(path: str) -> str:
 
 def _query(query: str) -> str:
     """A query with its names, and those values that are harmless."""
-    if _KEY.match(query):
-        return _pairs(query)
     first = _KEY.search(query)
     before = query[: first.start()] if first else query
-    words = re.split(r"([&;,_])", before)
-    shown_words = [word if k % 2 or _known(word) else "…" for k, word in enumerate(words)]
+    words = re.split(r"([&;,_/?])", before)
+    shown_words = [word if k % 2 or _known(word) else "…" for k, word in enumerate(words) if word]
     return "".join(shown_words) + (_pairs(query[first.start() :]) if first else "")
 
 
@@ -196,6 +220,7 @@ def _pairs(text: str) -> str:
     pieces = _KEY.split(text)
     out = [pieces[0]]
     for k in range(1, len(pieces), 2):
+        name = pieces[k]
         value = pieces[k + 1]
         separator = ""
         if k + 2 < len(pieces):
@@ -203,12 +228,14 @@ def _pairs(text: str) -> str:
             value = value[:-1]
         plain, *more = re.split(r"(?=[&;?])", value, maxsplit=1)
         number = _SUFFIX.sub("", plain)
-        known = pieces[k].lower() in _HARMLESS and (_VALUE.fullmatch(number) or _known(number))
+        known = name.lower() in _HARMLESS and (_VALUE.fullmatch(number) or _known(number))
         if not (known or not plain or _PLACEHOLDER.fullmatch(plain)):
             plain = "…"
         elif more:
             plain += "".join(more[0][:1] + _query(more[0][1:]))
-        out.append(f"{pieces[k]}={plain}{separator}")
+        # A token may end in "=", and look like a name.
+        pair = f"{name}={plain}" if _NAME.fullmatch(name) else "…"
+        out.append(pair + separator)
     return "".join(out)
 
 
