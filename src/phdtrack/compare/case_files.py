@@ -25,6 +25,16 @@ _VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".webm", ".m4v")
 _DEFAULT_DETECTOR = "change"
 
 
+def _existing(word: str) -> Path:
+    """The path of a folder or a video; `InputError` if there is none."""
+    path = Path(word)
+    if not path.exists():
+        # Raises an error that names the nearest file.
+        open_source(word)
+        raise InputError("expected a folder or a video file", where=word)
+    return path
+
+
 def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list[Case]:
     """The cases of a folder or a video; every file is read once to check it.
 
@@ -34,11 +44,7 @@ def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list
     request : the whole request.
     parameters : settings of detectors.
     """
-    path = Path(word)
-    if not path.exists():
-        # Raises an error that names the nearest file.
-        open_source(word)
-        raise InputError("expected a folder or a video file", where=word)
+    path = _existing(word)
     name = path.absolute().name if path.is_dir() else path.stem
     source = word
     sets = dict[str, Path]()
