@@ -42,7 +42,9 @@ def test_table_of_filters_has_the_figures_of_the_results():
     )
     scores = {(case, name): re.findall(r"\d+\.\d", row) for case, name, row in found}
     table = re.findall(
-        r"^\| `([a-z-]+)` \|([ \d.|]*/[ \d./|]+)\|$", (DOCS / "filters.md").read_text(), re.MULTILINE
+        r"^\| `([a-z-]+)` \|([ \d.|]*/[ \d./|]+)\|$",
+        (DOCS / "filters.md").read_text(),
+        re.MULTILINE,
     )
     assert len(table) == 5
     for name, row in table:
