@@ -102,7 +102,7 @@ def test_files_that_are_no_settings(text: str, says: str, tmp_path):
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    (tmp_path / "latin.toml").write_bytes(b"# caf\xe9\n[sensor]\n")
+    (tmp_path / "latin.toml").write_bytes(b'[sensor]\nkind = "caf\xe9"\n')
     for path in (tmp_path / "nowhere.toml", tmp_path, tmp_path / "latin.toml"):
         with pytest.raises(InputError) as error:
             config.load(path)

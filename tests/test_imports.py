@@ -20,7 +20,7 @@ print(*(name for name in sys.modules if name.startswith("phdtrack.")))
 def test_importing_the_package_loads_next_to_nothing():
     command = [sys.executable, "-c", LOADED]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["phdtrack.errors", "phdtrack.files"]
+    assert done.stdout.split() == ["phdtrack.addresses", "phdtrack.errors", "phdtrack.files"]
 
 
 def test_public_names_are_listed():

@@ -13,6 +13,7 @@ import typer
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
+from phdtrack.conventions import FORMATS
 from phdtrack.errors import InputError
 from phdtrack.formats import (
     Conventions,
@@ -20,7 +21,6 @@ from phdtrack.formats import (
     read_tracks_named,
     read_truth_by_class,
 )
-from phdtrack.formats.conventions import FORMATS
 from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.causes import FALSE, PLACES

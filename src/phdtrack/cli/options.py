@@ -16,8 +16,8 @@ from typing import Annotated, Any
 
 import typer
 
+from phdtrack.conventions import FORMATS
 from phdtrack.files import SIZE_LIMIT
-from phdtrack.formats.conventions import FORMATS
 from phdtrack.run.requests import (
     OutputRequest,
     ReadingRequest,

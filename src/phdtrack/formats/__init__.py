@@ -2,7 +2,7 @@
 JSON lines, COCO, CVAT, CVML, UA-DETRAC.
 """
 
-from phdtrack.formats.conventions import Conventions
+from phdtrack.conventions import Conventions
 from phdtrack.formats.exports import EXPORTS, export_tracks
 from phdtrack.formats.read import read_detections, read_tracks, read_tracks_named
 from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo

@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
+from phdtrack.conventions import ALL
 from phdtrack.errors import InputError
-from phdtrack.formats.conventions import ALL
 from phdtrack.formats.json_entry import Entry
 from phdtrack.types import LAST_FRAME
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from phdtrack.conventions import report
 from phdtrack.errors import InputError
-from phdtrack.formats.conventions import report
 from phdtrack.formats.seqinfo import find_seqinfo
 from phdtrack.formats.table import Column, Source, Table
 from phdtrack.types import F8, I8

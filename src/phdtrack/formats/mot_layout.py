@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
+from phdtrack.conventions import Conventions
 from phdtrack.errors import InputError
 from phdtrack.files import load
-from phdtrack.formats.conventions import Conventions
 from phdtrack.formats.text import Text, is_number
 from phdtrack.types import F8, Bool
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from phdtrack.conventions import BY_EVIDENCE, Conventions, report
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import (
@@ -31,7 +32,6 @@ from phdtrack.formats.checks import (
     zero_or_one,
 )
 from phdtrack.formats.coco import table_of_coco
-from phdtrack.formats.conventions import BY_EVIDENCE, Conventions, report
 from phdtrack.formats.doubts import as_stated, check_scores, check_times
 from phdtrack.formats.json_lines import rows_of_json_lines
 from phdtrack.formats.kitti import is_kitti, kitti_of_all_types, kitti_of_type

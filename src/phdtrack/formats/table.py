@@ -26,9 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from phdtrack.conventions import BY_EVIDENCE, Conventions, report
 from phdtrack.errors import InputError, needed
 from phdtrack.formats.checks import MalformedRows, Origin
-from phdtrack.formats.conventions import BY_EVIDENCE, Conventions, report
 from phdtrack.formats.mot_layout import (
     OTHERS_CATEGORY,
     REGION_CATEGORY,

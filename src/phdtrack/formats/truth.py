@@ -25,10 +25,10 @@ from pathlib import Path
 
 import numpy as np
 
+from phdtrack.conventions import BY_EVIDENCE, Conventions, report
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import Rule, enforce, whole_number, zero_or_one
-from phdtrack.formats.conventions import BY_EVIDENCE, Conventions, report
 from phdtrack.formats.kitti import LEAST_HEIGHT
 from phdtrack.formats.mot_layout import LAST_CLASS, PEDESTRIAN
 from phdtrack.formats.read import NO_ROWS, box_rules, frames_of, identified, table_of

@@ -19,10 +19,10 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from phdtrack.clock import Clock
+from phdtrack.conventions import BY_EVIDENCE
 from phdtrack.errors import InputError, needed
 from phdtrack.files import load, part_of, read_json
 from phdtrack.formats import Conventions, find_seqinfo, read_tracks_named
-from phdtrack.formats.conventions import BY_EVIDENCE
 from phdtrack.types import SequenceInfo, Tracks
 
 try:

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from phdtrack.conventions import Conventions
 from phdtrack.errors import InputError
-from phdtrack.formats.conventions import Conventions
 
 DEFAULT_DETECTOR = "change"
 CHECKPOINT_EVERY = 10.0

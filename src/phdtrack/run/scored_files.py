@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack.arrays import intersection
+from phdtrack.conventions import ALL, BOXES
 from phdtrack.detect.convert import check_units
 from phdtrack.errors import InputError
 from phdtrack.files import load
@@ -20,7 +21,6 @@ from phdtrack.formats import (
     read_tracks,
     read_truth,
 )
-from phdtrack.formats.conventions import ALL, BOXES
 from phdtrack.metrics.agreement import other_reading
 from phdtrack.metrics.labelled import in_frames, keyframe_doubt, regularly_labelled
 from phdtrack.types import F8, I8, LAST_FRAME, Tracks, Truth
