@@ -31,11 +31,11 @@ from phdtrack.video import VideoSource
 # The same frames come again after so many. All memories are full at `BEGUN`; from `LEAKING` on
 # something leaks.
 ROUND = 300
-BEGUN = 1500
-LEAKING = 2700
-ENDED = 3900
+BEGUN = 2700
+LEAKING = 3900
+ENDED = 5100
 # Blocks a frame: `track` keeps a tuple of numbers for its report of the last 100 000 frames
-# (measured: 9.2, with the leak 12), `live` nothing (0.4, and 2.7). What is learned settles for some
+# (measured: 8.9, with the leak 12), `live` nothing (0.4, and 2.7). What is learned settles for some
 # thousand frames, which is worth up to 1.
 REPORTED = 9.5
 NOTHING = 0.0

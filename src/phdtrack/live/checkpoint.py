@@ -122,6 +122,8 @@ def load(folder: Path, key: str) -> tuple[int, bool, Any, SavedCamera | InputErr
         block = decompressor.decompress(content)
     except zlib.error as error:
         raise InputError("it is cut off or changed", where=path) from error
+    if not decompressor.eof:
+        raise InputError("it is cut off or changed", where=path)
     value = from_bytes(block + decompressor.unused_data, path)
     before = json.loads(value["key"])
     now = json.loads(key)
