@@ -8,12 +8,14 @@ which figures and tables are filled.
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -283,6 +285,18 @@ def _say(text: str, *, changing: bool = False, last: bool = True) -> None:
         file=sys.stderr,
         flush=True,
     )
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """Mutes the tracker's warnings: those of hundreds of streams say nothing of an experiment."""
+    logger = logging.getLogger("phdtrack")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import importlib
-import logging
 import subprocess
 import sys
 import tempfile
@@ -20,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import ROOT, Options, in_parallel, need_data, table, write
+from experiments.common import ROOT, Options, in_parallel, need_data, table, without_warnings, write
 from experiments.degraded_inputs import CHANGES, PEERS, CameraCase, cases, changed, write_truth
 from phdtrack import Tracker, Tracks
 from phdtrack.errors import InputError
@@ -68,8 +67,6 @@ def all_cases() -> list[CameraCase]:
 
 def track(run: DegradedRun) -> None:
     """Track one case with the default; rows to PLACE/CHANGE/{online,corrected}/DETECTOR."""
-    # The warnings of hundreds of streams say nothing of the experiment.
-    logging.getLogger("phdtrack").setLevel(logging.ERROR)
     case = run.case
     given = changed(case, run.change)
     write_truth(case, given, run.place / "truth" / run.change / case.sequence)
@@ -77,10 +74,11 @@ def track(run: DegradedRun) -> None:
     if run.change != "no scores":
         boxes = np.column_stack([boxes, given.score])
     tracker = Tracker(given.size, fps=given.fps)
-    rows = [
-        tracker.update(boxes[given.frame == number], frame=number)
-        for number in range(1, given.frames + 1)
-    ]
+    with without_warnings():
+        rows = [
+            tracker.update(boxes[given.frame == number], frame=number)
+            for number in range(1, given.frames + 1)
+        ]
     made = {
         "online": Tracks.concatenate([*rows, tracker.flush()]),
         "corrected": tracker.tracks(),

@@ -10,7 +10,6 @@ detector ran.
 from __future__ import annotations
 
 import csv
-import logging
 import subprocess
 import sys
 import tempfile
@@ -23,7 +22,7 @@ from types import ModuleType
 import numpy as np
 
 from experiments import regimes_scenes
-from experiments.common import ROOT, Options, in_parallel, need_data, table, write
+from experiments.common import ROOT, Options, in_parallel, need_data, table, without_warnings, write
 from experiments.regimes_scenes import (
     CSV,
     PEERS,
@@ -126,13 +125,13 @@ def harness() -> ModuleType:
 
 def scored(job: SceneRun) -> tuple[float, float, float, float]:
     """MOTA and IDF1 of the online rows, then of the corrected tracks."""
-    # The warnings of hundreds of streams say nothing of the experiment.
-    logging.getLogger("phdtrack").setLevel(logging.ERROR)
     module = harness()
     found, truth = module.scene(seed=job.seed, **job.parameters)
     ran = [k for k, detections in enumerate(found) if detections is not None]
     values: list[float] = []
-    for rows in module.phdtrack(found, job.parameters, job.filter_name):
+    with without_warnings():
+        runs = module.phdtrack(found, job.parameters, job.filter_name)
+    for rows in runs:
         values += module.scores([truth[k] for k in ran], [rows.get(k, []) for k in ran])
     a, b, c, d = (float(value) for value in values)
     return a, b, c, d

@@ -573,6 +573,7 @@ def test_default_parts_give_the_tracks_of_the_default():
         smoother=Smoothing(frame_size=size),
         online=DetectionShare(),
         camera=CommonMotion(frame_size=size),
+        births_before=60.0,
     )
     rows = []
     for tracker in (Tracker(SIZE), Tracker(stages=parts)):

@@ -25,6 +25,8 @@ _ORDINARY = 4.0
 _STEPS = 9
 # Seconds by which the very first or last frame may be away, however short the rest is.
 _AWAY = 60.0
+# Seconds of the shortest step between two frames.
+_SHORTEST = 1e-6
 # From so many frames on the length of a sequence says something.
 _FEW = 3
 
@@ -185,7 +187,7 @@ class _Stamps:
     def _judged(self, held: Sequence[_Read], end: bool) -> float:
         """The time of the first frame that is held."""
         first = held[0]
-        usual = float(np.median(self._steps))
+        usual = max(float(np.median(self._steps)), _SHORTEST)
         before = self._believed
         if before is not None and self._ordinary(before, first):
             return self._time_of(first, usual)
@@ -205,7 +207,7 @@ class _Stamps:
         self._silent = all(one.stamp is None for one in held)
         if place > 0 and before is not None:
             left = (held[place].stamp or 0.0) - self._zero - self._time
-            if left > 0:
+            if left > _SHORTEST * (place + 1):
                 return self._time + min(usual, left / (place + 1))
         return self._time + usual
 
@@ -214,7 +216,7 @@ class _Stamps:
         stamp = read.stamp or 0.0
         before = self._believed
         time = stamp - self._zero
-        if before is None or not time > self._time:
+        if before is None or not time >= self._time + _SHORTEST:
             time = self._time + usual
             self._zero = stamp - time
         if before is not None:

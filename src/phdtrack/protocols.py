@@ -509,7 +509,7 @@ class Stages(Generic[S, A]):
     online: OnlineBoxes | None = None
     camera: CameraEstimator[Any] | None = None
     longest_interval: float = 0.2
-    births_before: float = 60.0
+    births_before: float = 0.0
 
 
 AnyStages = Stages[Any, Any]

@@ -91,7 +91,7 @@ def test_the_first_interval_is_the_model_s_own():
     """γ is per second: half a second before the first frame brings five times as much as a
     tenth.
     """
-    world = replace(stages(GMPHD(), Components()), births_before=0.0)
+    world = stages(GMPHD(), Components())
     boxes = world.model.sensor.boxes(people(np.random.default_rng(5), 1))
     longer = replace(world, model=replace(world.model, first=0.5))
     short, *_ = run(world, [boxes])[0]
