@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -37,6 +38,8 @@ from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
 from phdtrack.types import F8, Detections, DetectionTable, Frame, SequenceInfo, Tracks, Truth
 
 ROOT = Path(__file__).resolve().parents[1]
+# `make peers` makes it.
+PEERS_PYTHON = ROOT / ".venv-peers" / "bin" / "python"
 RESULTS = ROOT / "docs" / "results"
 QUICK_RESULTS = ROOT / "runs" / "experiments-quick"
 PAGES = Path(__file__).parent / "pages"
@@ -285,6 +288,24 @@ def _say(text: str, *, changing: bool = False, last: bool = True) -> None:
         file=sys.stderr,
         flush=True,
     )
+
+
+def run_peers(name: str, arguments: Sequence[object], jobs: int) -> None:
+    """Run the module experiments.NAME_peers in the environment of the peers; ``jobs`` as in
+    `Options`. Raises `InputError` if the environment is missing.
+    """
+    if not PEERS_PYTHON.is_file():
+        raise InputError(
+            "the peers' scores for this are not kept, so that the peers have to run, and their"
+            " environment is missing",
+            where=PEERS_PYTHON,
+            cure="Say make peers",
+        )
+    print(f"{name}: the peers run in their environment", file=sys.stderr, flush=True)
+    words = [PEERS_PYTHON, "-m", f"experiments.{name}_peers", *arguments]
+    if jobs:
+        words += ["--jobs", jobs]
+    subprocess.run([str(word) for word in words], cwd=ROOT, check=True)
 
 
 @contextmanager

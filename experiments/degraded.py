@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import importlib
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -19,7 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import ROOT, Options, in_parallel, need_data, table, without_warnings, write
+from experiments.common import (
+    Options,
+    in_parallel,
+    need_data,
+    run_peers,
+    table,
+    without_warnings,
+    write,
+)
 from experiments.degraded_inputs import CHANGES, PEERS, CameraCase, cases, changed, write_truth
 from phdtrack import Tracker, Tracks
 from phdtrack.errors import InputError
@@ -28,7 +35,6 @@ from phdtrack.formats import write_tracks
 SCORES = ("HOTA", "MOTA", "IDF1")
 OUTPUTS = ("online", "corrected")
 CSV = Path(__file__).with_name("degraded_peers.csv")
-PEERS_PYTHON = ROOT / ".venv-peers" / "bin" / "python"
 # One short sequence of some groups, for the short form.
 SHORT = ("KITTI-0014-car", "GOWT1-01", "TUD-Campus")
 # Of several cases in one group the mean of a tracker: group, then one value for each score.
@@ -112,23 +118,6 @@ def scored(run: DegradedRun) -> list[DegradedScores]:
                 )
             )
     return found
-
-
-def run_peers(place: Path, jobs: int) -> None:
-    """Write the peers' tracks below ``place``; `InputError` if their environment is missing."""
-    if not PEERS_PYTHON.is_file():
-        raise InputError(
-            "the peers' scores are not kept, and their environment is missing",
-            where=PEERS_PYTHON,
-            cure="Say make peers",
-        )
-    print("degraded: the peers run in their environment", file=sys.stderr, flush=True)
-    groups = need_data().parent / "bench" / "groups.csv"
-    words = [PEERS_PYTHON, "-m", "experiments.degraded_peers", need_data(), groups]
-    words += [place / "tracks"]
-    if jobs:
-        words += ["--jobs", jobs]
-    subprocess.run([str(word) for word in words], cwd=ROOT, check=True)
 
 
 def kept_peers() -> list[DegradedScores]:
@@ -223,7 +212,8 @@ def main(options: Options) -> Path:
         place = Path(folder)
         runs = [DegradedRun(case, change, place) for change in CHANGES for case in of]
         if not CSV.is_file():
-            run_peers(place, options.jobs)
+            groups = need_data().parent / "bench" / "groups.csv"
+            run_peers("degraded", [need_data(), groups, place / "tracks"], options.jobs)
         in_parallel(track, runs, "degraded", options)
         rows = [one for those in in_parallel(scored, runs, "scores", options) for one in those]
     if not CSV.is_file():

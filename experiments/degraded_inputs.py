@@ -23,7 +23,7 @@ CONSTANT = 0.9
 THINNING = 3
 KEPT = 0.5
 PEERS = ("sort", "bytetrack", "ocsort", "botsort", "cbiou")
-# MOT15 has its own groups of detections.
+# The sequences of MOT15 and their sets of detections.
 OLD_GROUP = "MOT15"
 OLD_SEQUENCES = {
     "frcnn": ("PETS09-S2L1", "TUD-Campus", "ETH-Sunnyday", "KITTI-17", "ADL-Rundle-6"),

@@ -24,16 +24,14 @@ import numpy as np
 from scipy import stats
 
 from experiments.common import Case, Options, built, followed, in_parallel, need_data, table, write
+from experiments.degraded_inputs import OLD_SEQUENCES
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import Scores, evaluate, pool
 from phdtrack.types import Truth
 
 MADE: tuple[str, ...] = ("PETS09-S2L1", "TUD-Campus")
-SEQUENCES: Mapping[str, tuple[str, ...]] = {
-    "frcnn": ("PETS09-S2L1", "TUD-Campus", "ETH-Sunnyday", "KITTI-17", "ADL-Rundle-6"),
-    "public": ("PETS09-S2L1", "TUD-Campus", "ETH-Sunnyday", "KITTI-17"),
-}
+SEQUENCES: Mapping[str, tuple[str, ...]] = OLD_SEQUENCES
 RATES = (0, 5, 20)
 # Uniform clutter, and the same with five places with repeated false boxes.
 CLUTTER = tuple(f"{kind}{rate}" for kind in "up" for rate in RATES)

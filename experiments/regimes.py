@@ -10,8 +10,6 @@ detector ran.
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 import tempfile
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,7 +20,15 @@ from types import ModuleType
 import numpy as np
 
 from experiments import regimes_scenes
-from experiments.common import ROOT, Options, in_parallel, need_data, table, without_warnings, write
+from experiments.common import (
+    Options,
+    in_parallel,
+    need_data,
+    run_peers,
+    table,
+    without_warnings,
+    write,
+)
 from experiments.regimes_scenes import (
     CSV,
     PEERS,
@@ -37,7 +43,6 @@ from experiments.regimes_scenes import (
 )
 from phdtrack.errors import InputError
 
-PEERS_PYTHON = ROOT / ".venv-peers" / "bin" / "python"
 DEFAULT = ""
 OTHERS = ("gm-phd", "gm-cphd", "particle-phd", "mht", "pmbm", "mcmc", "none")
 # Differences that count on the grid, and on the few scenes of a random regime.
@@ -190,21 +195,10 @@ def regimes_at_random(seed: int, number: int, jobs: int) -> list[Regime]:
 
 def measured_peers(seed: int, number: int, jobs: int) -> list[tuple[str, Pair]]:
     """The peers' scores in regimes drawn with ``seed``, measured in their own environment."""
-    if not PEERS_PYTHON.is_file():
-        raise InputError(
-            f"the peers' scores are kept for seed {SEED} only; for seed {seed} they have to run,"
-            " and their environment is missing",
-            where=PEERS_PYTHON,
-            cure="Say make peers, or leave --seed out",
-        )
-    print("regimes: the peers run in their environment", file=sys.stderr, flush=True)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "peers.csv"
-        words = [PEERS_PYTHON, "-m", "experiments.regimes_peers", bench(), "--out", out]
-        words += ["--seed", seed, "--regimes", number]
-        if jobs:
-            words += ["--jobs", jobs]
-        subprocess.run([str(word) for word in words], cwd=ROOT, check=True)
+        words = [bench(), "--out", out, "--seed", seed, "--regimes", number]
+        run_peers("regimes", words, jobs)
         return best_peers(out)
 
 

@@ -32,6 +32,7 @@ from phdtrack.detect.wrappers import Rescaled
 from phdtrack.formats import read_tracks
 from phdtrack.formats.write import DetectionsWriter
 from phdtrack.video import VideoSource, VideoWriter, open_source
+from phdtrack.video.writing import Coding
 
 FILTERS = ("none", "pmb")
 SCORES = ("MODA", "MODP", "MOTA", "MOTP", "IDF1", "HOTA")
@@ -245,7 +246,7 @@ def _shake(source: str, truth: str, pixels: float, folder: Path) -> None:
     size = (frames.info.width, frames.info.height)
     shift = np.zeros(2)
     shifts = np.zeros((int(rows[:, 0].max()) + 1, 2))
-    with VideoWriter(folder / "video.mp4", *size, frames.info.fps, quality=20) as out:
+    with VideoWriter(folder / "video.mp4", *size, frames.info.fps, coding=Coding(20)) as out:
         for frame in frames:
             shift = 0.7 * shift + (1 - 0.7**2) ** 0.5 * pixels * rng.standard_normal(2)
             shifts[frame.number : frame.number + 1] = shift

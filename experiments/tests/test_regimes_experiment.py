@@ -102,7 +102,8 @@ def test_frames_without_detector_do_not_count(monkeypatch: pytest.MonkeyPatch):
 def test_another_seed_needs_the_environment_of_the_peers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(regimes, "PEERS_PYTHON", tmp_path / "python")
+    monkeypatch.setattr("experiments.common.PEERS_PYTHON", tmp_path / "python")
+    monkeypatch.setattr(regimes, "bench", lambda: tmp_path)
     with pytest.raises(InputError, match=r"environment is missing.*make peers"):
         regimes.regimes_at_random(SEED + 1, 2, 1)
 

@@ -270,7 +270,7 @@ def _with_pace(
     interval is as long as that.
     """
     if state.observed == 0:
-        return (0, 0.0), model.first, replace(model, before=stages.births_before)
+        return (0, 0.0), model.first, replace(model, births_before=stages.births_before)
     seconds = time - state.observed_time
     count = state.intervals[0] + 1
     logs = state.intervals[1] + math.log(seconds)

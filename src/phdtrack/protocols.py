@@ -209,8 +209,8 @@ class Model:
     before they are predicted.
 
     ``pace`` is how fast the filter's time runs: at 1 as the clock, at 0.2 a fifth as fast
-    (`Stages.longest_interval`). Births go by the clock. ``before``: the seconds before this frame
-    whose births count at least.
+    (`Stages.longest_interval`). Births go by the clock. ``births_before``: the seconds
+    before this frame whose births count at least.
     """
 
     motion: Motion
@@ -221,13 +221,13 @@ class Model:
     first: float = 1.0
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
     pace: float = 1.0
-    before: float = 0.0
+    births_before: float = 0.0
 
     def birth_seconds(self, dt: float) -> float:
         """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last
         second.
         """
-        seconds = max(dt / (self.rate * self.pace), self.before)
+        seconds = max(dt / (self.rate * self.pace), self.births_before)
         if seconds <= 1.0:
             return seconds
         leaving = max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)

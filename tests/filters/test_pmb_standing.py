@@ -177,3 +177,18 @@ def test_fast_target_is_found_by_its_fifth_detection(speed: float):
         tracker.update(np.array([[x, 300, x + 60, 360]]) + rng.normal(0, 1, (1, 4)))
         shown.append(len(tracker.step.estimates))
     assert all(count == 1 for count in shown[4:])
+
+
+@pytest.mark.parametrize("kind", ["gm-phd", "mht"])
+def test_other_filters_follow_fast_targets_if_told_so(kind: str):
+    """1000 pixels a second: the box never overlaps its next one."""
+    shown = {}
+    for speed in (0.1, 0.4):
+        rng = np.random.default_rng(0)
+        tracker = Tracker((3840, 2160), fps=25.0, filter=kind, sensor={"birth_speed": speed})
+        shown[speed] = 0
+        for k in range(40):
+            box = np.array([[50.0 + 40 * k, 300, 110 + 40 * k, 360]]) + rng.normal(0, 1, (1, 4))
+            shown[speed] += len(tracker.update(box))
+    assert shown[0.4] >= 30
+    assert shown[0.1] <= 10

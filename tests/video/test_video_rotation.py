@@ -11,6 +11,7 @@ from video_clips import picture
 
 from phdtrack.video import VideoWriter, open_source
 from phdtrack.video.live_sources import LiveSource
+from phdtrack.video.writing import Coding
 
 ONE = 0x10000
 TURNS = {90: (0, ONE, -ONE, 0), 180: (-ONE, 0, 0, -ONE), 270: (0, -ONE, ONE, 0)}
@@ -18,7 +19,7 @@ TURNS = {90: (0, ONE, -ONE, 0), 180: (-ONE, 0, 0, -ONE), 270: (0, -ONE, ONE, 0)}
 
 def turned(path: Path, angle: int) -> Path:
     """An mp4 file with this angle in the header of its track, as phones write it."""
-    with VideoWriter(path, 64, 48, 10, quality=5) as video:
+    with VideoWriter(path, 64, 48, 10, coding=Coding(5)) as video:
         for k in range(4):
             video.write(picture(k))
     data = bytearray(path.read_bytes())

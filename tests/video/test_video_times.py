@@ -12,6 +12,7 @@ import pytest
 from video_clips import encode, picture
 
 from phdtrack.video import VideoWriter, open_source
+from phdtrack.video.writing import FAST
 
 VARIABLE = [*(33 * k for k in range(30)), *(1000 + 200 * k for k in range(20))]
 PAUSE = [*(40 * k for k in range(30)), *(21_160 + 40 * k for k in range(30))]
@@ -161,7 +162,7 @@ def test_avi_knows_the_order_of_decoding_only(tmp_path: Path, codec: str) -> Non
 @pytest.mark.parametrize("stamps", [VARIABLE, PAUSE], ids=["variable", "pause"])
 def test_written_times_are_those_of_the_source(tmp_path: Path, stamps: list[int]) -> None:
     seconds = 7.0 + np.array(stamps) / 1000
-    with VideoWriter(tmp_path / "out.mp4", 64, 48, 8.4412, fast=True) as out:
+    with VideoWriter(tmp_path / "out.mp4", 64, 48, 8.4412, coding=FAST) as out:
         for k, at in enumerate(seconds.tolist()):
             out.write(picture(k), at)
     times = [one.time for one in open_source(tmp_path / "out.mp4")]
@@ -181,7 +182,7 @@ def test_pauses_of_days_can_be_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize("fps", [25.0, 29.97, 24000 / 1001, 12.5, 0.1, 1 / 3600])
 def test_constant_rates_stay_exact(tmp_path: Path, fps: float) -> None:
     for name, own in (("rate", False), ("times", True)):
-        with VideoWriter(tmp_path / f"{name}.mp4", 64, 48, fps, fast=True) as out:
+        with VideoWriter(tmp_path / f"{name}.mp4", 64, 48, fps, coding=FAST) as out:
             for k in range(12):
                 out.write(picture(k), *([k / fps] if own else []))
         source = open_source(tmp_path / f"{name}.mp4")

@@ -11,6 +11,7 @@ from video_clips import picture
 
 from phdtrack.errors import InputError
 from phdtrack.video import VideoWriter, open_source, writing
+from phdtrack.video.writing import FAST, Coding
 
 
 def test_written_video_plays_in_browsers(clip: Path) -> None:
@@ -62,7 +63,7 @@ def test_fast_settings_reach_the_encoder(
     tmp_path: Path, size: tuple[int, int], threads: int
 ) -> None:
     """It says of misspelled ones nothing; what it was told stands in the file."""
-    with VideoWriter(tmp_path / "a.mp4", *size, 25, fast=True) as out:
+    with VideoWriter(tmp_path / "a.mp4", *size, 25, coding=FAST) as out:
         out.write(np.zeros((size[1], size[0], 3), np.uint8))
     told = (tmp_path / "a.mp4").read_bytes()
     words = (
@@ -79,14 +80,14 @@ def test_fast_settings_reach_the_encoder(
 
 def test_planes_are_written_unchanged(tmp_path: Path) -> None:
     """What was decoded goes to the encoder without a way through BGR, twice in the same way."""
-    with VideoWriter(tmp_path / "first.mp4", 64, 48, 25, quality=5) as out:
+    with VideoWriter(tmp_path / "first.mp4", 64, 48, 25, coding=Coding(5)) as out:
         for index in range(20):
             out.write(picture(index))
     frames = [
         frame.picture.planes().reshape(72, 64) for frame in open_source(tmp_path / "first.mp4")
     ]
     for name in ("second", "third"):
-        with VideoWriter(tmp_path / f"{name}.mp4", 64, 48, 25, quality=5, fast=True) as out:
+        with VideoWriter(tmp_path / f"{name}.mp4", 64, 48, 25, coding=Coding(5, fast=True)) as out:
             for planes in frames:
                 out.write(planes)
     assert (tmp_path / "second.mp4").read_bytes() == (tmp_path / "third.mp4").read_bytes()

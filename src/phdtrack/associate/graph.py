@@ -210,7 +210,7 @@ class GraphMatching(Checked):
     max_coast : seconds for which, at most, a confirmed track without a state is continued online by
         the motion model. It is continued while tracks that were missing as long came back in more
         than half of the cases.
-    bridge_gaps : fill the gaps of tracks with predicted rows.
+    bridge_gaps : fill gaps of up to two seconds with predicted rows.
     back_dating : earlier detections through which a corrected track is led back, at most.
     history : seconds of the filter's time (`time.longest_interval`) after which the past is
         forgotten; 0: never. Corrected tracks then go no further back than this and a little more.

@@ -161,8 +161,8 @@ class Labelled(Checked):
     coast_by_evidence : such a track is shown while, in this stream, more of those missing as long
         were found again where they were predicted than not; ``max_coast`` is what is expected
         before any are known.
-    bridge_gaps : fill the gaps of tracks with predicted rows, smoothed in corrected tracks.
-        Otherwise every row rests on a detection.
+    bridge_gaps : fill gaps of up to two seconds with predicted rows, smoothed in corrected
+        tracks. Otherwise every row rests on a detection.
     history : seconds of the filter's time (`time.longest_interval`) after which the past is
         forgotten; 0: never. Corrected tracks then go no further back than this and a little more,
         and a label that is seen again later is a new identity.

@@ -65,6 +65,15 @@ _NAMED = {
 }
 
 
+def _without_values(text: Text, conventions: Conventions) -> MotLayout | None:
+    """The layout that is stated, or follows from the number of columns; None if values decide."""
+    if named := _NAMED.get(conventions.format):
+        return _fitting(named, text)
+    if text.width not in (8, 9, 10) or not len(text):
+        return MotLayout.MOT15
+    return None
+
+
 def layout_of_truth(path: Path, text: Text, conventions: Conventions) -> MotLayout:
     """The layout of a file of annotated objects without a header.
 
@@ -76,10 +85,8 @@ def layout_of_truth(path: Path, text: Text, conventions: Conventions) -> MotLayo
     text : its rows.
     conventions : what the user states.
     """
-    if named := _NAMED.get(conventions.format):
-        return _fitting(named, text)
-    if text.width not in (8, 9, 10) or not len(text):
-        return MotLayout.MOT15
+    if (known := _without_values(text, conventions)) is not None:
+        return known
     if text.width < 10 and not is_number([*text.cells(0), "", ""][7]):
         return MotLayout.OWN_CLASSES
     rest = _columns_from_7(text)
@@ -109,10 +116,8 @@ def layout_of_tracks(path: Path, text: Text, conventions: Conventions) -> MotLay
     text : its rows.
     conventions : what the user states.
     """
-    if named := _NAMED.get(conventions.format):
-        return _fitting(named, text)
-    if text.width not in (8, 9, 10) or not len(text):
-        return MotLayout.MOT15
+    if (known := _without_values(text, conventions)) is not None:
+        return known
     if text.width == 10:
         return _layout_of_ten(text)
     if not is_number([*text.cells(0), "", ""][7]):

@@ -31,6 +31,7 @@ from phdtrack.run.observers import Report, RunObserver
 from phdtrack.run.reporter import SILENT, Reporter
 from phdtrack.types import F8, Detections, Frame, Image, SequenceInfo, Tracks
 from phdtrack.video import VideoSource, VideoWriter
+from phdtrack.video.writing import FAST
 
 HEAD = ("place", "class", "in", "out", "inside", "most", "mean", "seconds", "longest")
 _HEADER = "time,frame,kind,place,direction,identity,class,seconds,occupancy,x,y"
@@ -161,7 +162,7 @@ class CountObserver(RunObserver):
         with (
             VideoWriter(
                 *(path, info.width, info.height, info.fps),
-                fast=True,
+                coding=FAST,
                 pixel_aspect=info.pixel_aspect,
             ) as video,
             reporter.progress("drawing", self._last) as advance,

@@ -26,6 +26,7 @@ from phdtrack.run.reporter import Advance
 from phdtrack.run.running import FrameSummary, Progress, Run, Stop
 from phdtrack.types import Frame, Image, Tracks
 from phdtrack.video import VideoWriter
+from phdtrack.video.writing import FAST
 
 # The shorter side of an annotated video at the least, in pixels.
 _LEAST = 16
@@ -90,7 +91,7 @@ class LiveVideo:
         self._waiting = deque[tuple[Frame, FrameSummary]]()
         self._video = VideoWriter(
             *(run.directory.file(rundir.VIDEO), *self._draw.size, run.inputs.info.fps),
-            fast=True,
+            coding=FAST,
             pixel_aspect=run.inputs.info.pixel_aspect,
         )
 
@@ -160,7 +161,7 @@ def _annotated_video(
     fps = run.inputs.info.fps
     aspect = run.inputs.info.pixel_aspect
     video = files.enter_context(
-        VideoWriter(path, *drawing.size, fps, fast=True, pixel_aspect=aspect)
+        VideoWriter(path, *drawing.size, fps, coding=FAST, pixel_aspect=aspect)
     )
     frames = files.enter_context(ahead(run.inputs.source, 1))
     images = files.enter_context(ahead(_annotated(drawing, progress.summaries, frames, tracks), 1))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,6 +42,24 @@ _FAST = ":bframes=0:rc-lookahead=0:ref=1:weightp=0:subme=0:me=dia"
 _LARGE = 1920 * 1088
 
 
+class Coding(NamedTuple):
+    """How a video is compressed.
+
+    Attributes
+    ----------
+    quality : constant rate factor from 0 (lossless) to 51, if the encoder has one; 23 is usual.
+    fast : x264 takes less than half the time and a quarter of the memory, but files are two to
+        three times as large.
+    """
+
+    quality: int = 23
+    fast: bool = False
+
+
+USUAL = Coding()
+FAST = Coding(fast=True)
+
+
 class VideoWriter:
     """Writes BGR images, at a constant rate or at their own times; close it, or use it in a
     ``with`` statement.
@@ -55,9 +73,7 @@ class VideoWriter:
     width, height : of the images in pixels. An odd size is padded by one row or column, because
         H.264 needs even sizes.
     fps : frames per second, possibly a fraction (29.97).
-    quality : constant rate factor from 0 (lossless) to 51, if the encoder has one; 23 is usual.
-    fast : x264 takes less than half the time and a quarter of the memory, but files are two to
-        three times as large.
+    coding : quality and speed.
     pixel_aspect : width of a pixel as it is displayed, divided by its height.
     fragmented : the file has its name at once, and can be played even if it is never closed, except
         for the last seconds.
@@ -74,8 +90,7 @@ class VideoWriter:
         height: int,
         fps: float,
         *,
-        quality: int = 23,
-        fast: bool = False,
+        coding: Coding = USUAL,
         fragmented: bool = False,
         pixel_aspect: float = 1.0,
     ) -> None:
@@ -97,7 +112,7 @@ class VideoWriter:
         name = _working_encoder(*padded, rate)
         options = dict[str, str]()
         if name == "libx264":
-            options = _x264_options(width, height, quality, fast)
+            options = _x264_options(width, height, coding)
         muxing = {"movflags": "+faststart"}
         if fragmented:
             # One fragment per second, written to the file at once.
@@ -211,17 +226,17 @@ def _as_fraction(fps: float) -> Fraction:
     return 1 / min(Fraction(1 / fps).limit_denominator(_LARGEST_DENOMINATOR), _SLOWEST)
 
 
-def _x264_options(width: int, height: int, quality: int, fast: bool) -> dict[str, str]:
+def _x264_options(width: int, height: int, coding: Coding) -> dict[str, str]:
     """The options of x264."""
-    if fast:
+    if coding.fast:
         threads = 1 + (width * height > _LARGE)
         return {
-            "crf": str(quality),
+            "crf": str(coding.quality),
             "preset": "ultrafast",
             "x264-params": f"threads={threads}:sliced-threads=0:mbtree=0{_FAST}",
         }
     return {
-        "crf": str(quality),
+        "crf": str(coding.quality),
         "preset": "veryfast",
         "x264-params": f"threads={_THREADS}:sliced-threads=0:mbtree=0",
     }
