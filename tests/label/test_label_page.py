@@ -3,6 +3,7 @@ thousand boxes.
 """
 
 import contextlib
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -320,6 +321,27 @@ def test_only_enter_finishes_a_frame_and_undo_takes_it_back(it, store):
     it.page.wait_for_selector('#progress:text-matches("^0 of 40 frames · 1 false")')
     press("z")
     it.page.wait_for_selector('#progress:text-matches("^0 of 40 frames · 0 false")')
+
+
+def test_steps_count_while_a_frame_is_on_its_way(it):
+    """A slow server: four presses at once are four frames, and back from there is the third."""
+    it.page.route("**/api/frame/*", lambda route: (time.sleep(0.2), route.continue_()))
+    for _ in range(4):
+        it.page.keyboard.press("ArrowRight")
+    it.frame(5)
+    it.page.keyboard.press("ArrowLeft")
+    it.frame(4)
+    # A frame that does not come moves nothing: the next press asks for the same one again.
+    it.page.unroute("**/api/frame/*")
+    it.page.route("**/api/frame/8?*", lambda route: route.abort())
+    for key, number in (("ArrowRight", 5), ("ArrowRight", 6), ("ArrowRight", 7)):
+        it.page.keyboard.press(key)
+        it.frame(number)
+    it.page.keyboard.press("ArrowRight")
+    it.page.wait_for_selector('#notice:text-matches("did not come from the server")')
+    it.page.unroute("**/api/frame/8?*")
+    it.page.keyboard.press("ArrowRight")
+    it.frame(8)
 
 
 def test_undo_lasso_and_all_like_this(it, store):

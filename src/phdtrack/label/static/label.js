@@ -72,13 +72,21 @@ function forget() {
   for (const n of pictures.keys()) if (!listed.has(n) && (n < first || n > last)) [pictures, frames].forEach((all) => all.delete(n));
 }
 
-// What is pressed while a frame is on its way is meant for the one that is seen: `here` changes when the new one is there.
+// A mark made while a frame is on its way is meant for the one that is seen: `here` changes when the new one is there.
+// A step to the next frame counts from the one on its way, `aim`: two quick presses are two frames.
 let going = 0;
+let aim = 0;
 
 async function go(place) {
   const ticket = ++going;
   const to = Math.min(Math.max(place, 0), overview.frames.length - 1);
-  await load(numbers()[to]);
+  aim = to;
+  try {
+    await load(numbers()[to]);
+  } catch (error) {
+    if (ticket === going) aim = here;
+    throw error;
+  }
   if (ticket !== going) return;
   here = to;
   clip.begin(number(), overview.frames[here].clip, overview.fps);
@@ -103,14 +111,19 @@ function finish() {
     acted();
     queue.add(number(), "done", { done: true, who });
   }
-  if (here + 1 < overview.frames.length) go(here + 1);
+  if (here + 1 < overview.frames.length) reach(here + 1);
   else tell();
 }
 
+// A server that is away: the frame stays, and the next press asks again.
+const reach = (place) => go(place).catch((error) => say(`the frame did not come from the server (${error.message}): press again`));
+
 function browse(place) {
   finished = -1;
-  go(place);
+  reach(place);
 }
+
+const step = (by) => browse(aim + by);
 
 // An action more can be undone, and none redone.
 function acted() {
@@ -182,7 +195,10 @@ function several(boxes, off) {
 async function undo(what) {
   const back = what === "undo" ? finished : -1;
   finished = -1;
-  if (back >= 0 && back !== here) await go(back);
+  if (back >= 0 && back !== here) {
+    await reach(back);
+    if (here !== back) return;
+  }
   if (drawn()[what] > 0) {
     queue.add(number(), what, { who });
     say(what === "undo" ? "taken back; Y does it again" : "done again");
@@ -423,7 +439,7 @@ function speak() {
 }
 
 const KEYS = {
-  Enter: finish, ArrowRight: () => browse(here + 1), ArrowLeft: () => browse(here - 1), x: turnChosen, a: markAlike,
+  Enter: finish, ArrowRight: () => step(1), ArrowLeft: () => step(-1), x: turnChosen, a: markAlike,
   z: () => undo("undo"), y: () => undo("redo"), h: toggleBoxes, w: toggleWall,
   "1": () => setMode("false"), "2": () => setMode("birth"), "3": () => setMode("true"), n: add,
   Delete: turnChosen, d: () => dispute(), s: () => sweep.toggle(),
@@ -522,8 +538,8 @@ $("who").addEventListener("change", () => {
   asked(number()).then(({ undo, redo }) => Object.assign(drawn(), { undo, redo })).then(tell).catch(() => {});
 });
 $("done").addEventListener("click", finish);
-$("next").addEventListener("click", () => browse(here + 1));
-$("previous").addEventListener("click", () => browse(here - 1));
+$("next").addEventListener("click", () => step(1));
+$("previous").addEventListener("click", () => step(-1));
 $("undo").addEventListener("click", () => undo("undo"));
 $("redo").addEventListener("click", () => undo("redo"));
 $("alike").addEventListener("click", markAlike);
