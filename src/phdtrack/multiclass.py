@@ -172,10 +172,10 @@ class ClassSettings:
         for.
         """
         labels = self.tracked_as(detections)
+        if len({*known, *labels.tolist()}) <= MAX_CLASSES:
+            return np.ones(len(detections), np.bool_)
         best = dict.fromkeys(labels[np.argsort(-detections.confidence, kind="stable")].tolist())
         every = [*known, *(label for label in best if label not in known)]
-        if len(every) <= MAX_CLASSES:
-            return np.ones(len(detections), np.bool_)
         return np.isin(labels, every[:MAX_CLASSES])
 
     def _uncrowded(self, detections: Detections) -> Bool:
@@ -185,17 +185,22 @@ class ClassSettings:
         if len(detections) <= most:
             return kept
         labels = self.tracked_as(detections)
-        for label in np.unique(labels).tolist():
-            order = np.flatnonzero(labels == label)
-            order = order[np.argsort(-detections.confidence[order], kind="stable")]
+        for label in _distinct(labels):
+            rows = np.flatnonzero(labels == label)
+            if len(rows) <= most:
+                continue
+            own = detections if len(rows) == len(detections) else detections.select(rows)
             sensor = self.stages(label).model.sensor
-            z = sensor.measure(detections.select(order))
-            reach = np.subtract(*sensor.gate(z)[::-1]) / 2
+            z = sensor.measure(own)
+            low, high = sensor.gate(z)
+            half = (high - low) / 2
+            order = np.argsort(-own.confidence, kind="stable")
             # A foot above the horizon is in no place.
-            known = np.isfinite(z).all(axis=0) & np.isfinite(reach).all(axis=0)
-            at = np.ascontiguousarray(z[:2, known])
-            half = np.ascontiguousarray(reach[:, known])
-            kept[order[known]] = uncrowded(at, half, most)
+            known = np.asarray(np.isfinite(z).all(axis=0) & np.isfinite(half).all(axis=0))
+            order = order[known[order]]
+            kept[rows[order]] = uncrowded(
+                np.ascontiguousarray(z[:2, order]), np.ascontiguousarray(half[:, order]), most
+            )
         return kept
 
 
@@ -356,7 +361,7 @@ class ClassPipelines:
         """
         labels = self.classes.tracked_as(detections)
         if detections.observed:
-            self._open(np.unique(labels).tolist())
+            self._open(_distinct(labels))
         pipelines = self._all
         steps = list[Step]()
         for label, one in pipelines.items():
@@ -466,6 +471,11 @@ class ClassPipelines:
             self._pipelines[label] = _ClassPipeline(stages, rng, before.state, together)
 
 
+def _distinct(labels: I8) -> list[int]:
+    """The different labels, ascending; by a set, as hardly any frame has many."""
+    return sorted(set(labels.tolist()))
+
+
 def _only(detections: Detections, chosen: Bool) -> Detections:
     """The ``chosen`` detections (N,); all of them uncopied."""
     return detections if chosen.all() else detections.select(chosen)
@@ -478,7 +488,7 @@ def _integers(values: Iterable[int]) -> I8:
 
 def _with_class(rows: Tracks, label: int) -> Tracks:
     """The rows, all of one class."""
-    return replace(rows, class_id=np.full(len(rows), label))
+    return rows.with_class(np.full(len(rows), label))
 
 
 def _with_best_class(rows: Tracks, label: int, votes: Votes) -> Tracks:
@@ -487,7 +497,7 @@ def _with_best_class(rows: Tracks, label: int, votes: Votes) -> Tracks:
     for (identity, candidate), total in votes.items():
         best[identity] = max(best.get(identity, (0.0, label)), (total, candidate))
     labels = (best.get(identity, (0.0, label))[1] for identity in rows.identity.tolist())
-    return replace(rows, class_id=_integers(labels))
+    return rows.with_class(_integers(labels))
 
 
 def _vote(identity: I8, labels: I8, score: F8, votes: Votes) -> None:

@@ -142,7 +142,14 @@ class Detections:
 
     def numbered(self) -> Detections:
         """The same detections, as those of a frame of their own: numbered from 0."""
-        return replace(self, row=np.arange(len(self)))
+        return Detections(
+            self.xyxy,
+            self.confidence,
+            self.class_id,
+            self.covariance,
+            self.observed,
+            np.arange(len(self)),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -420,6 +427,22 @@ class DividedDetections:
         return largest
 
 
+# The row of a state that is only predicted.
+_NO_ROW: I8 = np.full(1, -1)
+
+
+def row_of(row: I8, detection: I8) -> I8:
+    """(n,) `Detections.row` of the detection that each state rests on, −1 for none.
+
+    Parameters
+    ----------
+    row : (N,) that of each measurement.
+    detection : (n,) the measurement of each state, −1 for none.
+    """
+    rows: I8 = np.concatenate((row, _NO_ROW))[detection]
+    return rows
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimates:
     """The states extracted from one frame's intensity, before they have identities.
@@ -465,8 +488,14 @@ class Estimates:
         """The states of the present with `Detections.row` for each detection; ``row`` (n,) is that
         of each measurement.
         """
-        # The last place is for states that are only predicted.
-        return replace(self, detection=np.append(row, -1)[self.detection], past=())
+        return Estimates(
+            self.state,
+            self.covariance,
+            self.weight,
+            self.xyxy,
+            row_of(row, self.detection),
+            self.tag,
+        )
 
     def select(self, index: I8 | Bool) -> Estimates:
         """The states at ``index`` (integers or a mask), in that order."""
@@ -521,6 +550,13 @@ class MeasurementHistory:
         return np.where(tracks.detection >= 0, column, -1)
 
 
+def _column(values: Any, n: int, dtype: type[np.generic]) -> NDArray[Any]:
+    """(n,) the ``values``, an array of as many or a number that stands for all."""
+    if isinstance(values, np.ndarray):
+        return np.asarray(values, dtype)
+    return np.full(n, values, dtype)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracks:
     """Rows of tracks, of one frame (online) or of a whole sequence (offline, sorted by frame, then
@@ -573,16 +609,13 @@ class Tracks:
         confidence : more than 1 counts as 1.
         """
         n = len(xyxy)
-        number, name, found = (
-            np.full(n, column, np.int64) for column in (frame, identity, detection)
-        )
         return cls(
-            number,
-            name,
+            _column(frame, n, np.int64),
+            _column(identity, n, np.int64),
             xyxy,
-            np.minimum(1.0, np.full(n, confidence)),
-            found,
-            np.full(n, confirmed),
+            np.minimum(1.0, _column(confidence, n, np.float64)),
+            _column(detection, n, np.int64),
+            _column(confirmed, n, np.bool_),
         )
 
     @classmethod
@@ -605,6 +638,18 @@ class Tracks:
     def __getitem__(self, index: int | slice | I8 | Bool) -> Tracks:
         """The rows at ``index``: one, a slice, integers or a mask, in that order."""
         return self.select(np.atleast_1d(np.arange(len(self))[index]))
+
+    def with_class(self, class_id: I8) -> Tracks:
+        """The same rows, of the classes (M,)."""
+        return Tracks(
+            self.frame,
+            self.identity,
+            self.xyxy,
+            self.confidence,
+            self.detection,
+            self.confirmed,
+            class_id,
+        )
 
     def to_dataframe(self) -> Any:
         """A pandas DataFrame, a row each, with left, top, right, bottom for boxes. `InputError`

@@ -13,7 +13,7 @@ from phdtrack.kernels.linking import Links, Window
 from phdtrack.models import warp as warp_of
 from phdtrack.models.rts import bridge
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory, Tracks
+from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory, Tracks, row_of
 
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 # Seconds of the filter's time that are remembered by default, so that memory stays bounded: some
@@ -68,9 +68,7 @@ class Moment:
     @property
     def rows(self) -> I8:
         """(n,) `Detections.row` of the detection that each state rests on, −1 for none."""
-        # The last place is for states that are only predicted.
-        row: I8 = np.append(self.row, -1)[self.estimates.detection]
-        return row
+        return row_of(self.row, self.estimates.detection)
 
     def columns(self) -> I8:
         """One measurement for each detection, ascending by row: the last of those that share a
@@ -165,6 +163,8 @@ def seen_until(moments: Moments, place: int, first: int) -> float:
     first : the first place that is held.
     """
     moment = moments[place]
+    if moment.observed:
+        return moment.time
     times: list[float] = []
     k = place
     while k >= first and len(times) < 2 and place - k <= 2 * MOST_UNOBSERVED:

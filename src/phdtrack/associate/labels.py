@@ -94,11 +94,13 @@ class LabelTable(NamedTuple):
         """The table with the states of the moments counted, whose labels all have a row."""
         if not moments:
             return self
-        seen = [m.estimates.tag[m.estimates.detection >= 0] for m in moments]
-        place = self.places(np.concatenate(seen))
+        states = [m.estimates for m in moments]
+        seen = np.concatenate([e.detection for e in states]) >= 0
+        place = self.places(np.concatenate([e.tag for e in states])[seen])
+        time = np.repeat([m.time for m in moments], [len(e) for e in states])
         last = self.last.copy()
         # Moments are in order of time: of several states with a label the last one's stays.
-        last[place] = np.repeat([m.time for m in moments], [len(tag) for tag in seen])
+        last[place] = time[seen]
         return self._replace(
             states=self.states + np.bincount(place, minlength=len(self.label)), last=last
         )
@@ -315,10 +317,16 @@ class Labelled(Checked):
         identity[fresh] = state.used + 1 + np.arange(len(fresh))
         sure[place] = confirmed
         order = np.argsort(identity[place])
-        e = estimates.select(shown[order])
         name = identity[place[order]]
-        row = moment.rows[shown[order]]
-        rows = Tracks.of(moment.number, name, e.xyxy, e.weight, row, confirmed[order])
+        at = shown[order]
+        rows = Tracks.of(
+            moment.number,
+            name,
+            estimates.xyxy[at],
+            estimates.weight[at],
+            moment.rows[at],
+            confirmed[order],
+        )
         table = state.table._replace(identity=identity, confirmed=sure)
         return replace(state, table=table, used=state.used + len(fresh)), rows
 
@@ -354,7 +362,8 @@ class Labelled(Checked):
         # A label of a frame that may still be revised has a row.
         first = min(due, len(state.history))
         label = state.table.label
-        here = np.concatenate([state[k].estimates.tag for k in range(first, len(state))])
+        moments = [*(state[k] for k in range(first, len(state.history))), *state.recent]
+        here = np.concatenate([m.estimates.tag for m in moments])
         kept = state.table.last >= since
         if len(label):
             at = label.searchsorted(here)

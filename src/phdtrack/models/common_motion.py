@@ -126,11 +126,11 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
     ) -> tuple[CameraState, F8]:
         """The camera's motion since the last frame, and the state with what was learned from it."""
         fading = math.exp(-dt / (model.rate * VELOCITY_MEMORY))
-        bases = [similarity(self._of_note(fading * dt * state.velocity), self._frame)]
+        frame = self._frame
+        bases = [similarity(_of_note(fading * dt * state.velocity, frame), frame)]
         if len(given):
-            bases.append(
-                _after(similarity(self._of_note(-fading * dt * state.left), self._frame), given)
-            )
+            left = similarity(_of_note(-fading * dt * state.left, frame), frame)
+            bases.append(_after(left, given))
         if not z.shape[1] or not len(state.mean):
             warp = bases[-1 if state.followed else 0]
             return self._moved(state, warp, given, dt, fading), warp
@@ -195,7 +195,7 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         motion, *rest = frame_motion(
             boxes, rule, which == 0, state.excess[which], state.weight[which]
         )
-        return _Alternative(_after(similarity(motion, self._frame), model.warp), *rest)
+        return _Alternative(_after(similarity(motion, frame), model.warp), *rest)
 
     def _moved(
         self, state: CameraState, warp: F8, given: F8, dt: float, fading: float
@@ -210,15 +210,16 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             left = motion_of(given, self._frame) / dt - velocity
         return replace(state, velocity=velocity, left=left)
 
-    def _of_note(self, motion: F8) -> F8:
-        """(4,) the motion with negligible components set to 0."""
-        return np.where(np.abs(motion) < LEAST * self._frame[2], 0.0, motion)
-
     @property
     def _frame(self) -> F8:
         """(3,) the middle of the image and half of its width."""
         width, height = self.frame_size
         return np.array([width / 2, height / 2, width / 2])
+
+
+def _of_note(motion: F8, frame: F8) -> F8:
+    """(4,) the motion with negligible components set to 0; ``frame`` as of `similarity`."""
+    return np.where(np.abs(motion) < LEAST * frame[2], 0.0, motion)
 
 
 def similarity(motion: F8, frame: F8) -> F8:
