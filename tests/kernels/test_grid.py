@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from inner_kernels import from_python
 from phdtrack.arrays import iou, share_inside
-from phdtrack.kernels.box import apart
+from phdtrack.kernels.box import agreement, apart, following, plausible_boxes
 from phdtrack.kernels.grid import cell_of, make_grid, overlapping_pairs, points_in_rectangles
 from phdtrack.models.plane import Hiders
 
@@ -161,3 +161,66 @@ def test_kept_boxes_are_those_of_the_definition(count: int, overlap: float):
         assert found == left_of(boxes, overlap)
         went += count - len(found)
     assert went or count < 17
+
+
+def continued(before: np.ndarray, after: np.ndarray, overlap: float) -> list[int]:
+    """The definition: each of the two overlaps the other most; of equal ones the first counts."""
+    table = iou(before, after)
+    table[(table < overlap) | (table == 0)] = -1
+    if not table.size:
+        return [-1] * len(after)
+    best = np.where(table.max(axis=0) >= 0, table.argmax(axis=0), -1)
+    other = table.argmax(axis=1)
+    return [int(i) if i >= 0 and other[i] == j else -1 for j, i in enumerate(best)]
+
+
+@pytest.mark.parametrize("overlap", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize("count", [0, 1, 2, 17, 120])
+def test_boxes_are_continued_as_defined(count: int, overlap: float):
+    linked = 0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        before = crowd(rng, count, 40.0 + 4 * count * (seed % 3)) if count else np.zeros((0, 4))
+        after = (before + rng.normal(0, 2 * (seed % 2), before.shape))[rng.random(count) < 0.8]
+        for one, two in ((before, after), (after, before)):
+            found = following(one, two, overlap).tolist()
+            assert found == continued(one, two, overlap)
+            linked += len(found) - found.count(-1)
+    assert linked or count < 17
+
+
+def test_boxes_above_each_other_are_continued():
+    """All begin at one left side."""
+    boxes = np.array([[5.0, 20 * k, 15, 20 * k + 20] for k in range(6)])
+    assert following(boxes, boxes[::-1].copy(), 0.3).tolist() == [5, 4, 3, 2, 1, 0]
+
+
+@given(st.lists(st.tuples(number, number, number, number), max_size=12))
+def test_plausible_boxes_are_those_of_the_definition(boxes):
+    xyxy = np.array(boxes, np.float64).reshape(-1, 4)
+    frame = np.array([64.0, 48.0])
+    sides = xyxy[:, 2:] - xyxy[:, :2]
+    away = np.abs(xyxy[:, :2] / 2 + xyxy[:, 2:] / 2 - frame / 2)
+    good = (sides >= 0.5) & (sides <= 3 * frame) & (away <= 3.5 * frame)
+    rows, empty = plausible_boxes(xyxy, 64.0, 48.0, (0.5, 3.0))
+    assert rows.tolist() == np.flatnonzero(good.all(axis=1)).tolist()
+    assert empty == (~(sides > 0).all(axis=1)).sum()
+
+
+def test_boxes_agree_in_whichever_order_their_names_come():
+    rng = np.random.default_rng(5)
+    n = 9
+    names = rng.permutation(20)[:n]
+    frames = [crowd(rng, n, 200.0) + [0, 0, 1, 1] for _ in range(4)]
+    before = np.abs(rng.normal(1, 1, (2, 4)))
+    held = [rng.permutation(n)[: n - k] for k in (0, 1, 2)]
+    one, two, three = frames[0], frames[1], frames[2]
+    some = np.intersect1d(held[1], held[2])
+    some = held[0][np.isin(held[0], some)]
+
+    def sums(first, second, third):
+        then = names[first], one[first], frames[3][first]
+        between = names[second], two[second]
+        return agreement(then, between, (names[third], three[third]), 1.0, 0.9, before)
+
+    np.testing.assert_array_equal(sums(*held), sums(some, some, some))

@@ -22,6 +22,7 @@ import numpy as np
 
 from phdtrack.arrays import share_inside
 from phdtrack.errors import Checked, InputError, PositiveCount
+from phdtrack.kernels.box import plausible_boxes
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo
 
 _COLUMNS = (
@@ -33,6 +34,7 @@ _LARGEST_CLASS = 2.0**53
 # the centre may lie outside.
 _MIN_SIDE = 1e-3
 _MAX_FRAMES = 10.0
+_SIDES = (_MIN_SIDE, _MAX_FRAMES)
 # Stands for the frame's sides if they are unknown: larger than any camera's.
 _UNKNOWN_SIDE = 1e6
 # Classes that are tracked separately; the first ones are kept.
@@ -78,15 +80,19 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
         score = _attribute(obj, ("confidence", "conf"), n, where)
         label = _attribute(obj, ("class_id", "cls"), n, where)
     n = len(xyxy) if xyxy.size else 0
-    if label is None:
-        label = np.zeros(n)
+    if label is not None:
+        _check_classes(label, where)
+    return _checked(Detections.of(xyxy if n else [], score, label), where)
+
+
+def _check_classes(label: F8, where: str) -> None:
+    """Raise `InputError` if a class (N,) is no whole number."""
     whole = (np.abs(label) < _LARGEST_CLASS) & (np.rint(label) == label)
     if not whole.all():
         row = int(np.argmin(whole))
         raise InputError(
             f"row {row} (from 0): the class must be a whole number, got {label[row]:g}", where=where
         )
-    return _checked(Detections.of(xyxy if n else [], score, label.astype(np.int64)), where)
 
 
 def _columns(table: F8, where: str) -> tuple[F8, F8 | None, F8 | None]:
@@ -171,18 +177,12 @@ class Limits(Checked):
 
     def plausible(self, found: Detections) -> tuple[I8, DiscardedBoxes]:
         """(k,) rows of boxes with plausible size and place, and the numbers of the others."""
-        low = found.xyxy[:, :2]
-        high = found.xyxy[:, 2:]
-        frame = np.full(2, _UNKNOWN_SIDE)
+        width, height = (_UNKNOWN_SIDE, _UNKNOWN_SIDE)
         if min(self.frame_size) > 0:
-            frame = np.array(self.frame_size)
-        with np.errstate(over="ignore"):
-            sides = high - low
-            away = np.abs(low / 2 + high / 2 - frame / 2)
-        sized = (sides > 0).all(axis=1)
-        possible = (sides >= _MIN_SIDE) & (sides <= _MAX_FRAMES * frame)
-        near = (possible & (away <= (_MAX_FRAMES + 0.5) * frame)).all(axis=1)
-        return np.flatnonzero(near), DiscardedBoxes(int((~sized).sum()), int((sized & ~near).sum()))
+            width, height = self.frame_size
+        boxes = np.ascontiguousarray(found.xyxy, np.float64)
+        rows, empty = plausible_boxes(boxes, float(width), float(height), _SIDES)
+        return rows, DiscardedBoxes(empty, len(found) - empty - len(rows))
 
     def best(self, confidence: F8) -> I8:
         """(k,) rows of the best of boxes with these scores (N,), ascending."""
@@ -195,13 +195,13 @@ def unit_warning(found: Detections, size: tuple[float, float]) -> str:
     """A sentence if the boxes of a frame of known size seem to have the wrong units; else empty."""
     if not len(found) or min(size) <= 0:
         return ""
-    largest = found.xyxy.max(axis=0)
-    if largest[2:].max() <= _MAX_SHARE:
+    left, top, right, bottom = found.xyxy.max(axis=0).tolist()
+    if max(right, bottom) <= _MAX_SHARE:
         return (
-            f"no coordinate exceeds {largest.max():.3g}: boxes must be in pixels of the image, not"
-            " in shares of its size"
+            f"no coordinate exceeds {max(left, top, right, bottom):.3g}: boxes must be in pixels of"
+            " the image, not in shares of its size"
         )
-    if found.xyxy[:, 2:].min() > 0 and largest[0] < size[0] and largest[1] < size[1]:
+    if left < size[0] and top < size[1] and found.xyxy[:, 2:].min() > 0:
         return ""
     outside = ((found.xyxy[:, 2:] <= 0) | (found.xyxy[:, :2] >= size)).any(axis=1).sum()
     return (

@@ -13,6 +13,7 @@ from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import Predicted, copy_gaussian
+from phdtrack.kernels.grid import cell_of, sorted_by_cell
 
 Noise = tuple[int, float, float, float, float]
 # Rows of the state that a measurement shows.
@@ -27,6 +28,36 @@ MEMORY = 200.0
 # If D is less, a point is about to pass the horizon of the map: it goes this far, out of any image,
 # and no farther.
 LEAST = 0.05
+
+
+@njit(**ENTRY)
+def plausible_boxes(
+    boxes: F8, width: float, height: float, sides: tuple[float, float]
+) -> tuple[I8, int]:
+    """(k,) the boxes (n, 4) of plausible size and place, and how many others have a width or
+    height that is not above 0.
+
+    ``sides``: the least side in pixels, and the longest in frames of ``width`` and ``height``,
+    which is also how far outside a frame a centre may be.
+    """
+    least, most = sides
+    frame = (width, height)
+    rows = np.empty(len(boxes), np.int64)
+    k = 0 * len(boxes)
+    empty = 0 * len(boxes)
+    for j in range(len(boxes)):
+        sized = True
+        near = True
+        for a in range(2):
+            side = boxes[j, 2 + a] - boxes[j, a]
+            away = abs(boxes[j, a] / 2 + boxes[j, 2 + a] / 2 - frame[a] / 2)
+            sized = sized and side > 0.0
+            near = near and least <= side <= most * frame[a] and away <= (most + 0.5) * frame[a]
+        empty += not sized
+        if near:
+            rows[k] = j
+            k += 1
+    return rows[:k].copy(), empty
 
 
 @njit(**ENTRY)
@@ -63,6 +94,33 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
     return left[:k].copy()
 
 
+@njit(**INNER)
+def by_left_side(boxes: F8) -> tuple[I8, I8, float, float, float]:
+    """Sort boxes (n, 4) into as many cells by their left sides.
+
+    Where each cell begins (cells + 1,); (n,) the boxes by cell, ascending in each; low and scale: a
+    left side lies in cell (left − low)·scale; and the largest width. A box that shares an area with
+    another begins at most that width left of the other's left side, and before its right side.
+    """
+    n = len(boxes)
+    count = max(n, 1)
+    low = np.inf
+    high = -np.inf
+    widest = 0.0
+    for j in range(n):
+        low = min(low, boxes[j, 0])
+        high = max(high, boxes[j, 0])
+        widest = max(widest, boxes[j, 2] - boxes[j, 0])
+    scale = 0.0
+    if high > low:
+        scale = count / (high - low)
+    cell = np.empty(n, np.int64)
+    for j in range(n):
+        cell[j] = cell_of(boxes[j, 0], low, scale, count)
+    begin, order = sorted_by_cell(cell, count)
+    return begin, order, low, scale, widest
+
+
 @njit(**ENTRY)
 def following(before: F8, after: F8, overlap: float) -> I8:
     """(m,) the box ``before`` (n, 4) that each of the boxes ``after`` (m, 4) continues, −1 for
@@ -74,16 +132,23 @@ def following(before: F8, after: F8, overlap: float) -> I8:
     best = np.full(m, -1)
     most = np.zeros(m)
     other = np.full(len(before), -1)
-    other_most = np.zeros(len(before))
+    begin, order, low, scale, widest = by_left_side(after)
     for i in range(len(before)):
-        for j in range(m):
+        other_most = 0.0
+        first = cell_of(before[i, 0] - widest, low, scale, begin.size - 1)
+        last = cell_of(before[i, 2], low, scale, begin.size - 1)
+        for k in range(begin[first], begin[last + 1]):
+            j = order[k]
             share = overlap_of(before, i, after, j)
-            if share >= overlap and share > most[j]:
+            if not (share >= overlap and share > 0.0):
+                continue
+            if share > most[j]:
                 best[j] = i
                 most[j] = share
-            if share >= overlap and share > other_most[i]:
+            # Of equal ones the first, in whichever order they come.
+            if share > other_most or (share == other_most and j < other[i]):
                 other[i] = j
-                other_most[i] = share
+                other_most = share
     for j in range(m):
         if best[j] >= 0 and other[best[j]] != j:
             best[j] = -1
@@ -91,9 +156,14 @@ def following(before: F8, after: F8, overlap: float) -> I8:
 
 
 @njit(**INNER)
-def _index(names: I8, name: int) -> int:
-    """The index of a name, −1 if it is not there."""
-    for k in range(names.size):
+def _index(names: I8, name: int, first: int) -> int:
+    """The index of a name that is there once, −1 if it is not there; looked for from ``first``
+    on.
+    """
+    for k in range(max(first, 0), names.size):
+        if names[k] == name:
+            return k
+    for k in range(min(first, names.size)):
         if names[k] == name:
             return k
     return -1
@@ -121,9 +191,11 @@ def agreement(
     name, detected, filtered = then
     name_between, detected_between = between
     name_now, detected_now = now
+    j = k = 0 * name.size
     for i in range(name.size):
-        j = _index(name_between, name[i])
-        k = _index(name_now, name[i])
+        # Names mostly come in the same order in all frames.
+        j = _index(name_between, name[i], j)
+        k = _index(name_now, name[i], k)
         if j < 0 or k < 0:
             continue
         for part in range(2):
