@@ -20,7 +20,7 @@ the messages are
     ν_e = 1 / (1 + Σ_{other pairs of the measurement} μ)
 
 They converge, whatever ψ [W14], and are exact where pairs form a tree; a round costs as many steps
-as there are pairs whose messages still change.
+as there are pairs of targets and measurements whose messages still change.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from phdtrack.kernels import F8, I8, Bool, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import records
+from phdtrack.kernels.grid import sorted_by_cell
 
 # A column without a row, and one that no row may take any more.
 UNUSED = -1
@@ -49,9 +50,8 @@ DONE = 2
 # Messages are passed at most so often, and until none changes by more than this.
 ROUNDS = 50
 SETTLED = 1e-6
-# A pair: its odds ψ and its messages, of which μ becomes the marginal probability of the pair; its
-# two ends; and the number of its island, a connected component of targets and measurements.
-EDGE = records("odds mu nu", "target measurement island")
+# A pair: its odds ψ, and μ, which becomes its marginal probability; its two ends.
+EDGE = records("odds mu", "target measurement")
 
 
 class Edges(NamedTuple):
@@ -558,109 +558,112 @@ def competing(leaf: I8, trace: I8, most: int) -> I8:
 
 
 @njit(**INNER)
-def _start(edges: Records, active: I8, parent: I8, targets: int) -> None:
-    """Write the first messages, the islands, and the numbers of the edges into ``active``."""
-    for i in range(parent.size):
-        parent[i] = i
-    for e in range(edges.size):
-        edge = edges[e]
-        edge.nu = 1.0
-        active[e] = e
-        unite(parent, edge.target, targets + edge.measurement)
-    for e in range(edges.size):
-        edges[e].island = root(parent, edges[e].target)
-
-
-@njit(**INNER)
 def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
     """Marginal probabilities by loopy belief propagation [W14; W15; PMB (9)].
 
     ``edges`` (E,) of `EDGE`, no pair twice, with odds ψ ≥ 0, target and measurement; μ becomes the
-    probability of each pair, the rest is scratch. Returns the probabilities (T,) that each target
-    has no measurement, and (N,) that each measurement is no earlier target's.
+    probability of each pair. Returns the probabilities (T,) that each target has no measurement,
+    and (N,) that each measurement is no earlier target's.
     """
-    by_target = np.empty(targets)
-    by_measurement = np.empty(measurements)
-    change = np.empty(targets)
-    active = np.empty(edges.size, np.int64)
-    count = edges.size
-    _start(edges, active, np.empty(targets + measurements, np.int64), targets)
-    for j in range(measurements):
-        by_measurement[j] = 0.0
+    size = edges.size
+    # In arrays of their own: a round reads little else.
+    odds = np.empty(size)
+    mu = np.full(size, -1.0)
+    nu = np.ones(size)
+    target = np.empty(size, np.int64)
+    measurement = np.empty(size, np.int64)
+    for e in range(size):
+        odds[e] = edges[e].odds
+        target[e] = edges[e].target
+        measurement[e] = edges[e].measurement
+    by_target = sorted_by_cell(target, targets)
+    by_measurement = sorted_by_cell(measurement, measurements)
+    changed = np.ones(targets, np.bool_), np.zeros(measurements, np.bool_)
+    total = np.zeros(measurements)
     for _ in range(ROUNDS):
-        _send_to_measurements(edges, active, count, by_target, by_measurement)
-        largest = _send_to_targets(edges, active, count, by_measurement, change)
-        if largest <= SETTLED:
+        _send_to_measurements(by_target, odds, nu, measurement, mu, changed)
+        if _send_to_targets(by_measurement, mu, target, nu, total, changed) <= SETTLED:
             break
-        count = _still_changing(edges, active, count, change)
+    missed = np.empty(targets)
+    begin, order = by_target
     for t in range(targets):
-        by_target[t] = 0.0
-    for e in range(edges.size):
-        by_target[edges[e].target] += edges[e].odds * edges[e].nu
-    for e in range(edges.size):
-        edges[e].mu = edges[e].odds * edges[e].nu / (1.0 + by_target[edges[e].target])
-    for t in range(targets):
-        by_target[t] = 1.0 / (1.0 + by_target[t])
+        detected = 0.0
+        for k in range(begin[t], begin[t + 1]):
+            detected += odds[order[k]] * nu[order[k]]
+        for k in range(begin[t], begin[t + 1]):
+            edges[order[k]].mu = odds[order[k]] * nu[order[k]] / (1.0 + detected)
+        missed[t] = 1.0 / (1.0 + detected)
     for j in range(measurements):
-        by_measurement[j] = 1.0 / (1.0 + by_measurement[j])
-    return by_target, by_measurement
+        total[j] = 1.0 / (1.0 + total[j])
+    return missed, total
 
 
 @njit(**INNER)
 def _send_to_measurements(
-    edges: Records, active: I8, count: int, by_target: F8, by_measurement: F8
+    by_target: tuple[I8, I8],
+    odds: F8,
+    nu: F8,
+    measurement: I8,
+    mu: F8,
+    changed: tuple[Bool, Bool],
 ) -> None:
-    """Compute μ of the active edges [PMB (8)], and Σ μ of their measurements."""
-    for k in range(count):
-        edge = edges[active[k]]
-        by_target[edge.target] = 0.0
-        by_measurement[edge.measurement] = 0.0
-    for k in range(count):
-        edge = edges[active[k]]
-        by_target[edge.target] += edge.odds * edge.nu
-    for k in range(count):
-        edge = edges[active[k]]
-        others = by_target[edge.target] - edge.odds * edge.nu
-        edge.mu = edge.odds
-        # A difference of sums may be rounding below 0.
-        if others > 0.0:
-            edge.mu = edge.odds / (1.0 + others)
-        by_measurement[edge.measurement] += edge.mu
+    """Compute μ of the edges of targets with a changed ν [PMB (8)]; marks the measurements whose μ
+    changed.
+
+    ``by_target``: where the edges of each target begin, and the edges in this order.
+    """
+    begin, order = by_target
+    stale, to_update = changed
+    for t in range(stale.size):
+        if not stale[t]:
+            continue
+        stale[t] = False
+        total = 0.0
+        for k in range(begin[t], begin[t + 1]):
+            total += odds[order[k]] * nu[order[k]]
+        for k in range(begin[t], begin[t + 1]):
+            e = order[k]
+            others = total - odds[e] * nu[e]
+            value = odds[e]
+            # A difference of sums may be rounding below 0.
+            if others > 0.0:
+                value = odds[e] / (1.0 + others)
+            if value != mu[e]:
+                mu[e] = value
+                to_update[measurement[e]] = True
 
 
 @njit(**INNER)
 def _send_to_targets(
-    edges: Records, active: I8, count: int, by_measurement: F8, change: F8
+    by_measurement: tuple[I8, I8],
+    mu: F8,
+    target: I8,
+    nu: F8,
+    total: F8,
+    changed: tuple[Bool, Bool],
 ) -> float:
-    """Compute ν of the active edges [PMB (8)]; the largest change, and that of each island in
-    ``change``.
+    """Compute ν of the edges of measurements with a changed μ [PMB (8)], and Σ μ of these into
+    ``total`` (N,); marks the targets whose ν changed. Returns the largest change.
     """
+    begin, order = by_measurement
+    to_update, stale = changed
     largest = 0.0
-    for k in range(count):
-        change[edges[active[k]].island] = 0.0
-    for k in range(count):
-        edge = edges[active[k]]
-        others = by_measurement[edge.measurement] - edge.mu
-        value = 1.0
-        if others > 0.0:
-            value = 1.0 / (1.0 + others)
-        step = abs(value - edge.nu)
-        edge.nu = value
-        change[edge.island] = max(change[edge.island], step)
-        largest = max(largest, step)
+    for j in range(stale.size):
+        if not stale[j]:
+            continue
+        stale[j] = False
+        claimed = 0.0
+        for k in range(begin[j], begin[j + 1]):
+            claimed += mu[order[k]]
+        total[j] = claimed
+        for k in range(begin[j], begin[j + 1]):
+            e = order[k]
+            others = claimed - mu[e]
+            value = 1.0
+            if others > 0.0:
+                value = 1.0 / (1.0 + others)
+            if value != nu[e]:
+                largest = max(largest, abs(value - nu[e]))
+                nu[e] = value
+                to_update[target[e]] = True
     return largest
-
-
-@njit(**INNER)
-def _still_changing(edges: Records, active: I8, count: int, change: F8) -> int:
-    """Drop the edges of islands without any change from ``active``; returns how many are left.
-
-    Where nothing has changed, nothing will: most islands are small, and one that is not would keep
-    all others waiting.
-    """
-    left = 0 * count
-    for k in range(count):
-        if change[edges[active[k]].island] > 0.0:
-            active[left] = active[k]
-            left += 1
-    return left

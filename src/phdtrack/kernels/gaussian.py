@@ -318,23 +318,21 @@ def _extent_of(z: F8, a: int) -> tuple[float, float]:
 
 
 @njit(**INNER)
-def with_tails(
-    first: float, rest: float, count: int, position_scale: float, size_scale: float, freedom: float
-) -> tuple[float, float]:
-    """d² for noises whose variances are c times the model's, and the log-density without
-    −log(2π)^(m/2)√|S| [WH97 §10.8].
+def log_tails(
+    first: float, rest: float, count: int, log_scales: tuple[float, float], freedom: float
+) -> float:
+    """The log-density, without −log(2π)^(m/2)√|S|, for noises whose variances are c times the
+    model's [WH97 §10.8].
 
     Each two of the ``count`` components, 2 or 4, have Student's t-distribution: −log c − (n/2 + 1)
-    log(1 + d²/(nc)), with d² for the model's noises (``first`` and ``rest``), c the two scales, and
-    n their degrees of freedom.
+    log(1 + d²/(nc)), with d²/c ``first`` and ``rest``, log c ``log_scales``, and n the degrees of
+    freedom.
     """
-    own = first / position_scale
     power = 0.5 * freedom + 1.0
-    value = -np.log(position_scale) - power * np.log1p(own / freedom)
+    value = -log_scales[0] - power * np.log1p(first / freedom)
     if count > 2:
-        value -= np.log(size_scale) + power * np.log1p(rest / size_scale / freedom)
-        own += rest / size_scale
-    return own, value
+        value -= log_scales[1] + power * np.log1p(rest / freedom)
+    return float(value)
 
 
 @njit(**INNER)
@@ -386,7 +384,7 @@ def gated(
 
     They are ordered by Gaussian; their weight is not written. The first arguments are those of
     `Expected` and `Measurements`. Gaussians at which ``active`` (J,) is 0 are left out. ``tails``
-    (J, 3): c of the first two components and of two others, and n, see `with_tails`; `GAUSSIAN` for
+    (J, 3): c of the first two components and of two others, and n, see `log_tails`; `GAUSSIAN` for
     none.
     """
     spots, begin, along, across, low, scale, bounded = by_position(z, period)
@@ -402,6 +400,7 @@ def gated(
         x = predicted[i, rows[along]]
         middle = predicted[i, rows[across]]
         log_det = np.nan
+        log_scales = (0.0, 0.0)
         first_cell = cell_of(x - reach[i], low, scale, begin.size - 1)
         last_cell = cell_of(x + reach[i], low, scale, begin.size - 1)
         for k in range(begin[first_cell], begin[last_cell + 1]):
@@ -414,25 +413,30 @@ def gated(
                     np.log(innovation(spread, rows, noise, extra, i, j, period, s))
                     + len(period) * LOG_2PI
                 )
-            d2 = first = own = whitened(predicted, rows, z, i, j, period, s, y)
-            log_density = -0.5 * (d2 + log_det)
+                if len(tails) > 0:
+                    log_scales = (np.log(tails[i, 0]), np.log(tails[i, 1]))
+            d2 = first = near = whitened(predicted, rows, z, i, j, period, s, y)
+            rest = 0.0
             if len(tails) > 0:
                 if len(period) > 2:
                     first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
-                own, value = with_tails(
-                    first, d2 - first, len(period), tails[i, 0], tails[i, 1], tails[i, 2]
-                )
+                    rest = (d2 - first) / tails[i, 1]
+                near = first / tails[i, 0]
+            if not near + rest <= gate * gate:
+                continue
+            log_density = -0.5 * (d2 + log_det)
+            if len(tails) > 0:
+                value = log_tails(near, rest, len(period), log_scales, tails[i, 2])
                 log_density = value - 0.5 * log_det
-            if own <= gate * gate:
-                if count == pairs.size:
-                    pairs = _longer(pairs)
-                pair = pairs[count]
-                pair.gaussian = i
-                pair.measurement = j
-                pair.distance2 = d2
-                pair.first = first
-                pair.log_density = log_density
-                count += 1
+            if count == pairs.size:
+                pairs = _longer(pairs)
+            pair = pairs[count]
+            pair.gaussian = i
+            pair.measurement = j
+            pair.distance2 = d2
+            pair.first = first
+            pair.log_density = log_density
+            count += 1
     return pairs[:count]
 
 
