@@ -211,7 +211,7 @@ def test_boxes_agree_in_whichever_order_their_names_come():
     rng = np.random.default_rng(5)
     n = 9
     names = rng.permutation(20)[:n]
-    frames = [crowd(rng, n, 200.0) + [0, 0, 1, 1] for _ in range(4)]
+    frames = [crowd(rng, n, 200.0) + np.array([0, 0, 1, 1]) for _ in range(4)]
     before = np.abs(rng.normal(1, 1, (2, 4)))
     held = [rng.permutation(n)[: n - k] for k in (0, 1, 2)]
     one, two, three = frames[0], frames[1], frames[2]

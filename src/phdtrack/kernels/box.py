@@ -96,14 +96,13 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
 
 @njit(**INNER)
 def by_left_side(boxes: F8) -> tuple[I8, I8, float, float, float]:
-    """Sort boxes (n, 4) into as many cells by their left sides.
+    """Sort boxes (n, 4), one or more, into n cells by their left sides.
 
-    Where each cell begins (cells + 1,); (n,) the boxes by cell, ascending in each; low and scale: a
+    Where each cell begins (n + 1,); (n,) the boxes by cell, ascending in each; low and scale: a
     left side lies in cell (left − low)·scale; and the largest width. A box that shares an area with
     another begins at most that width left of the other's left side, and before its right side.
     """
     n = len(boxes)
-    count = max(n, 1)
     low = np.inf
     high = -np.inf
     widest = 0.0
@@ -113,11 +112,11 @@ def by_left_side(boxes: F8) -> tuple[I8, I8, float, float, float]:
         widest = max(widest, boxes[j, 2] - boxes[j, 0])
     scale = 0.0
     if high > low:
-        scale = count / (high - low)
+        scale = n / (high - low)
     cell = np.empty(n, np.int64)
     for j in range(n):
-        cell[j] = cell_of(boxes[j, 0], low, scale, count)
-    begin, order = sorted_by_cell(cell, count)
+        cell[j] = cell_of(boxes[j, 0], low, scale, n)
+    begin, order = sorted_by_cell(cell, n)
     return begin, order, low, scale, widest
 
 
@@ -132,11 +131,13 @@ def following(before: F8, after: F8, overlap: float) -> I8:
     best = np.full(m, -1)
     most = np.zeros(m)
     other = np.full(len(before), -1)
+    if m == 0:
+        return best
     begin, order, low, scale, widest = by_left_side(after)
     for i in range(len(before)):
         other_most = 0.0
-        first = cell_of(before[i, 0] - widest, low, scale, begin.size - 1)
-        last = cell_of(before[i, 2], low, scale, begin.size - 1)
+        first = cell_of(before[i, 0] - widest, low, scale, m)
+        last = cell_of(before[i, 2], low, scale, m)
         for k in range(begin[first], begin[last + 1]):
             j = order[k]
             share = overlap_of(before, i, after, j)
