@@ -12,10 +12,17 @@ from hypothesis import strategies as st
 from inner_kernels import from_python
 from phdtrack.arrays import iou, share_inside
 from phdtrack.kernels.box import agreement, apart, following, plausible_boxes
-from phdtrack.kernels.grid import cell_of, make_grid, overlapping_pairs, points_in_rectangles
+from phdtrack.kernels.grid import (
+    cell_of,
+    make_grid,
+    overlapping_pairs,
+    points_in_rectangles,
+    sorted_along,
+    within,
+)
 from phdtrack.models.plane import Hiders
 
-[cell_of] = from_python(cell_of)
+cell_of, sorted_along, within = from_python(cell_of, sorted_along, within)
 
 # Whole numbers too, so that edges meet.
 number = st.one_of(st.integers(-40, 40).map(float), st.floats(-1e3, 1e3), st.floats(-1e7, 1e7))
@@ -224,3 +231,13 @@ def test_boxes_agree_in_whichever_order_their_names_come():
         return agreement(then, between, (names[third], three[third]), 1.0, 0.9, before)
 
     np.testing.assert_array_equal(sums(*held), sums(some, some, some))
+
+
+@given(st.lists(number, max_size=20), number, extent)
+def test_sorted_values_within_reach_are_all_found(values, value: float, reach: float):
+    along = np.array(values, np.float64)
+    cells = sorted_along(along)
+    begin, end = within(value, reach, cells)
+    assert sorted(cells[1].tolist()) == list(range(len(values)))
+    near = np.flatnonzero((along >= value - reach) & (along <= value + reach))
+    assert set(near.tolist()) <= set(cells[1][begin:end].tolist())

@@ -361,13 +361,14 @@ class Labelled(Checked):
         since = min(state.time - self.history * model.rate, state[due].time)
         # A label of a frame that may still be revised has a row.
         first = min(due, len(state.history))
-        label = state.table.label
-        moments = [*(state[k] for k in range(first, len(state.history))), *state.recent]
-        here = np.concatenate([m.estimates.tag for m in moments])
         kept = state.table.last >= since
-        if len(label):
+        old = np.flatnonzero(~kept)
+        if len(old):
+            moments = [*(state[k] for k in range(first, len(state.history))), *state.recent]
+            here = np.concatenate([m.estimates.tag for m in moments])
+            label = state.table.label[old]
             at = label.searchsorted(here)
-            kept[at[label.take(at, mode="clip") == here]] = True
+            kept[old[at[label.take(at, mode="clip") == here]]] = True
         history = state.history.since(since)
         if history is state.history and kept.all():
             return state

@@ -13,7 +13,7 @@ from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import Predicted, copy_gaussian
-from phdtrack.kernels.grid import cell_of, sorted_by_cell
+from phdtrack.kernels.grid import sorted_along, within
 
 Noise = tuple[int, float, float, float, float]
 # Rows of the state that a measurement shows.
@@ -94,32 +94,6 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
     return left[:k].copy()
 
 
-@njit(**INNER)
-def by_left_side(boxes: F8) -> tuple[I8, I8, float, float, float]:
-    """Sort boxes (n, 4), one or more, into n cells by their left sides.
-
-    Where each cell begins (n + 1,); (n,) the boxes by cell, ascending in each; low and scale: a
-    left side lies in cell (left − low)·scale; and the largest width. A box that shares an area with
-    another begins at most that width left of the other's left side, and before its right side.
-    """
-    n = len(boxes)
-    low = np.inf
-    high = -np.inf
-    widest = 0.0
-    for j in range(n):
-        low = min(low, boxes[j, 0])
-        high = max(high, boxes[j, 0])
-        widest = max(widest, boxes[j, 2] - boxes[j, 0])
-    scale = 0.0
-    if high > low:
-        scale = n / (high - low)
-    cell = np.empty(n, np.int64)
-    for j in range(n):
-        cell[j] = cell_of(boxes[j, 0], low, scale, n)
-    begin, order = sorted_by_cell(cell, n)
-    return begin, order, low, scale, widest
-
-
 @njit(**ENTRY)
 def following(before: F8, after: F8, overlap: float) -> I8:
     """(m,) the box ``before`` (n, 4) that each of the boxes ``after`` (m, 4) continues, −1 for
@@ -131,15 +105,17 @@ def following(before: F8, after: F8, overlap: float) -> I8:
     best = np.full(m, -1)
     most = np.zeros(m)
     other = np.full(len(before), -1)
-    if m == 0:
-        return best
-    begin, order, low, scale, widest = by_left_side(after)
+    cells = sorted_along(after[:, 0] + after[:, 2])
+    widest = 0.0
+    for j in range(m):
+        widest = max(widest, after[j, 2] - after[j, 0])
     for i in range(len(before)):
         other_most = 0.0
-        first = cell_of(before[i, 0] - widest, low, scale, m)
-        last = cell_of(before[i, 2], low, scale, m)
-        for k in range(begin[first], begin[last + 1]):
-            j = order[k]
+        # Twice the distance of two centres that share an area is less than both widths.
+        reach = before[i, 2] - before[i, 0] + widest
+        begin, end = within(before[i, 0] + before[i, 2], reach, cells)
+        for k in range(begin, end):
+            j = cells[1][k]
             share = overlap_of(before, i, after, j)
             if not (share >= overlap and share > 0.0):
                 continue

@@ -22,6 +22,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.grid import sorted_along, within
 
 # Degrees of freedom of the errors of boxes, and of a camera's motion.
 FREEDOM = 4.0
@@ -30,6 +31,8 @@ PRIOR_FREEDOM = 3.0
 # sizes differ by less.
 NEAR = 6.0
 SIZES = 1.0
+# Makes up for rounding where pairs are only looked for.
+ROUNDING = 1.000001
 # The same for the logarithms of sizes in the vote on shifts, and its number of cells on each side.
 LIKE = 0.4
 CELLS = 16
@@ -155,9 +158,9 @@ def fitted(
     motion[1] = start[1]
     information = np.empty((4, 4))
     covariance = np.empty((4, 4))
-    evidence = determinant = 0.0
+    determinant = 0.0
     for step in range(ITERATIONS):
-        evidence = _weigh(pairs, motion, around, detected, density, frame[2], weight, total)
+        _weigh(pairs, motion, around, detected, density, frame[2], weight, total)
         _sum(pairs, weight, around, frame[2], information, pull)
         around = 0.0
         determinant = _invert(information, spread, covariance)
@@ -174,6 +177,10 @@ def fitted(
             break
     estimate = np.empty(4)
     error = np.empty(4)
+    # The log-probability of the detections, by the last weights.
+    evidence = 0.0
+    for i in range(len(total)):
+        evidence += math.log(total[i])
     evidence -= 0.5 * math.log(determinant)
     for k in range(4):
         error[k] = 1.0 / max(1.0 / covariance[k, k] - 1.0 / spread[k], 1e-12)
@@ -255,19 +262,28 @@ def _pairs(predicted: F8, variance: F8, z: F8, frame: F8, start: F8) -> Pairs:
     halves of the width.
     """
     target = np.empty((len(predicted) * len(z), 2), np.int64)
-    count = 0
+    count = 0 * len(z)
     wide = start[2] * start[2]
+    cells = sorted_along(z[:, 0])
     for i in range(len(predicted)):
         x = predicted[i, 0] + start[0]
         y = predicted[i, 1] + start[1]
         across = NEAR * NEAR * (variance[i, 0] + wide)
         down = NEAR * NEAR * (variance[i, 1] + wide)
-        for j in range(len(z)):
+        first = count
+        begin, end = within(x, ROUNDING * math.sqrt(across), cells)
+        for k in range(begin, end):
+            j = cells[1][k]
             if (z[j, 0] - x) ** 2 > across or (z[j, 1] - y) ** 2 > down:
                 continue
             if abs(z[j, 2] - predicted[i, 2]) < SIZES and abs(z[j, 3] - predicted[i, 3]) < SIZES:
+                # In the order of the detections, however far right they are.
+                q = count
+                while q > first and target[q - 1, 1] > j:
+                    target[q, 1] = target[q - 1, 1]
+                    q -= 1
                 target[count, 0] = i
-                target[count, 1] = j
+                target[q, 1] = j
                 count += 1
     error = np.empty((count, 4))
     own = np.empty((count, 4))
@@ -307,9 +323,9 @@ def _weigh(
     half: float,
     weight: F8,
     total: F8,
-) -> float:
-    """The log-probability of the detections; writes the weight of each pair (P,), and their sums by
-    target into ``total``.
+) -> None:
+    """Write the weight of each pair (P,), and the density of each target's detections into
+    ``total``.
     """
     target, error, variance, place = pairs
     precision = np.empty(len(target))
@@ -324,13 +340,10 @@ def _weigh(
         weight[p] = detected[target[p]] / density * DENSITY / (volume * tail * tail * tail * tail)
         precision[p] = (FREEDOM + 4.0) / (FREEDOM + square)
         total[target[p]] += weight[p]
-    evidence = 0.0
     for i in range(len(total)):
         total[i] += 1.0 - detected[i]
-        evidence += math.log(total[i])
     for p in range(len(target)):
         weight[p] *= precision[p] / total[target[p]]
-    return evidence
 
 
 @njit(**INNER)

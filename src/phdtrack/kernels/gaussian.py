@@ -25,7 +25,7 @@ compiled for it.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import config
@@ -367,6 +367,31 @@ def _longer(pairs: Records) -> Records:
 
 
 @njit(**INNER)
+def _by_tails(d2: float, y: F8, s: F8, count: int, tails: F8, i: int) -> tuple[float, float, float]:
+    """The part of d² of the first two of ``count`` components, and that part and the rest over c,
+    which is in ``tails`` as of `gated`; d², d² and 0 without tails. ``y`` is of `whitened`.
+    """
+    if len(tails) == 0:
+        return d2, d2, 0.0
+    if count <= 2:
+        return d2, d2 / tails[i, 0], 0.0
+    first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
+    return first, first / tails[i, 0], (d2 - first) / tails[i, 1]
+
+
+@njit(**INNER)
+def _write_pair(pair: Any, i: int, j: int, values: tuple[float, float, float]) -> None:
+    """Write a pair of Gaussian i and measurement j; ``values`` are d² of all components and of the
+    first two, and the log-density.
+    """
+    pair.gaussian = i
+    pair.measurement = j
+    pair.distance2 = values[0]
+    pair.first = values[1]
+    pair.log_density = values[2]
+
+
+@njit(**INNER)
 def gated(
     rows: I8,
     predicted: F8,
@@ -415,27 +440,18 @@ def gated(
                 )
                 if len(tails) > 0:
                     log_scales = (np.log(tails[i, 0]), np.log(tails[i, 1]))
-            d2 = first = near = whitened(predicted, rows, z, i, j, period, s, y)
-            rest = 0.0
-            if len(tails) > 0:
-                if len(period) > 2:
-                    first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
-                    rest = (d2 - first) / tails[i, 1]
-                near = first / tails[i, 0]
+            d2 = whitened(predicted, rows, z, i, j, period, s, y)
+            first, near, rest = _by_tails(d2, y, s, len(period), tails, i)
             if not near + rest <= gate * gate:
                 continue
-            log_density = -0.5 * (d2 + log_det)
             if len(tails) > 0:
                 value = log_tails(near, rest, len(period), log_scales, tails[i, 2])
                 log_density = value - 0.5 * log_det
+            else:
+                log_density = -0.5 * (d2 + log_det)
             if count == pairs.size:
                 pairs = _longer(pairs)
-            pair = pairs[count]
-            pair.gaussian = i
-            pair.measurement = j
-            pair.distance2 = d2
-            pair.first = first
-            pair.log_density = log_density
+            _write_pair(pairs[count], i, j, (d2, first, log_density))
             count += 1
     return pairs[:count]
 

@@ -74,6 +74,42 @@ def sorted_by_cell(cell: I8, count: int) -> tuple[I8, I8]:
 
 
 @njit(**INNER)
+def sorted_along(values: F8) -> tuple[I8, I8, float, float]:
+    """Sort finite values (n,) into cells of equal size, about one in each.
+
+    Where each cell begins (cells + 1,); (n,) the values by cell, ascending by number in each; low
+    and scale: a value lies in cell (value − low)·scale.
+    """
+    low = np.inf
+    high = -np.inf
+    for j in range(values.size):
+        low = min(low, values[j])
+        high = max(high, values[j])
+    count = max(values.size, 1)
+    scale = 0.0
+    if values.size == 0:
+        low = 0.0
+    if high > low:
+        scale = count / (high - low)
+    cell = np.empty(values.size, np.int64)
+    for j in range(values.size):
+        cell[j] = cell_of(values[j], low, scale, count)
+    begin, order = sorted_by_cell(cell, count)
+    return begin, order, low, scale
+
+
+@njit(**INNER)
+def within(value: float, reach: float, cells: tuple[I8, I8, float, float]) -> tuple[int, int]:
+    """The first and one past the last place in the order of `sorted_along` of the values that may
+    be within ``reach`` of a value.
+    """
+    begin, _, low, scale = cells
+    first = cell_of(value - reach, low, scale, begin.size - 1)
+    last = cell_of(value + reach, low, scale, begin.size - 1)
+    return begin[first], begin[last + 1]
+
+
+@njit(**INNER)
 def _axis(lower: F8, upper: F8, axis: int, size: float) -> tuple[float, float, float]:
     """Origin, extent and cell size along an axis: the rectangles' mean extent, at least ``size``
     and a thousandth of the whole extent.

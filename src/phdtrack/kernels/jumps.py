@@ -69,20 +69,27 @@ def jumping(
         c = targets[t].best
         if near[t] or c < 0 or targets[t].r * _share(covariance, c, c, jumps) < least:
             continue
-        low = np.empty(2)
-        high = np.empty(2)
-        for a in range(2):
-            row = e.rows[a]
-            middle = mean[c, row] - jumps.interval * mean[c, row + 2]
-            wide = jumps.wide * jumps.interval * jumps.speed[c, a]
-            reach = REACH * np.sqrt(covariance[c, row, row] + wide * wide)
-            low[a] = middle - reach
-            high[a] = middle + reach
+        left, right = _reach(mean, covariance, c, 0, e, jumps)
+        top, bottom = _reach(mean, covariance, c, 1, e, jumps)
         for j in range(len(z)):
-            if not explained[j] and low[0] < z[j, 0] < high[0] and low[1] < z[j, 1] < high[1]:
+            if not explained[j] and left < z[j, 0] < right and top < z[j, 1] < bottom:
                 out[t] = True
                 break
     return out
+
+
+@njit(**INNER)
+def _reach(
+    mean: F8, covariance: F8, c: int, axis: int, e: Expected, jumps: Jumps
+) -> tuple[float, float]:
+    """The lowest and the highest position along an axis that hypothesis c reaches with a new
+    velocity.
+    """
+    row = e.rows[axis]
+    middle = mean[c, row] - jumps.interval * mean[c, row + 2]
+    wide = jumps.wide * jumps.interval * jumps.speed[c, axis]
+    reach = REACH * np.sqrt(covariance[c, row, row] + wide * wide)
+    return middle - reach, middle + reach
 
 
 @njit(**INNER)

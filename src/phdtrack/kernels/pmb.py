@@ -270,7 +270,7 @@ def updated_layer(
     jumps = Jumps(*jumps)
     targets, hypotheses, mean, covariance = layer
     count = len(targets)
-    p_detect, visible, tails = _detection_terms(hypotheses, e.p_detect, s)
+    p_detect, visible, tails, genuine = _detection_terms(hypotheses, e.p_detect, s)
     # Gate
     pairs = _gated(e, m, s.gate, p_detect, tails)
     # Give new velocities to targets that nothing is near
@@ -283,7 +283,7 @@ def updated_layer(
                 (targets, hypotheses, mean, covariance), jump, e, jumps
             )
             layer = Layer(targets, hypotheses, mean, covariance)
-            p_detect, visible, tails = _detection_terms(hypotheses, e.p_detect, s)
+            p_detect, visible, tails, genuine = _detection_terms(hypotheses, e.p_detect, s)
             new_velocity = np.where(jumped(targets, jump, len(hypotheses)), p_detect, 0.0)
             more = _gated(e, m, s.gate, new_velocity, tails)
             pairs = merged_pairs(pairs, more, targets, jump)
@@ -292,6 +292,7 @@ def updated_layer(
     measured = np.empty((3, len(m.z)))
     born, vanished, started = _associate(
         (targets, hypotheses, p_detect),
+        genuine,
         pairs,
         exists,
         m.clutter,
@@ -300,7 +301,9 @@ def updated_layer(
         s,
         measured,
     )
-    counted = _detections((targets, hypotheses, p_detect), visible, e.p_detect, pairs, exists)
+    counted = _detections(
+        (targets, hypotheses, p_detect), genuine, visible, e.p_detect, pairs, exists
+    )
     evidence, false_alarm, r_new = measured
     predicted, detected = _expected(targets, hypotheses, p_detect)
     # Update each hypothesis with each of its measurements, and keep the most probable
@@ -354,13 +357,18 @@ def _expected(targets: Records, hypotheses: Records, p_detect: F8) -> tuple[floa
 
 @njit(**INNER)
 def _detections(
-    before: tuple[Records, Records, F8], visible: F8, p_detect: F8, pairs: Records, exists: F8
+    before: tuple[Records, Records, F8],
+    genuine: F8,
+    visible: F8,
+    p_detect: F8,
+    pairs: Records,
+    exists: F8,
 ) -> tuple[float, float, float]:
     """Number of detections of targets that move and are not occluded, of chances to detect them,
     and of detections that the sensor's ``p_detect`` (C,) expects [PMB (14)].
 
-    ``before``, ``pairs`` and ``exists`` are as of `_associate`, after it. What stands still may be
-    clutter and tells nothing.
+    ``before``, ``genuine``, ``pairs`` and ``exists`` are as of `_associate`, after it. What stands
+    still may be clutter and tells nothing.
     """
     targets, hypotheses, own = before
     hits = 0.0
@@ -369,7 +377,7 @@ def _detections(
     for q in range(pairs.size):
         c = pairs[q].gaussian
         if not hypotheses[c].static:
-            weight = pairs[q].weight * probability(hypotheses[c].genuine)
+            weight = pairs[q].weight * genuine[c]
             hits += weight
             chances += weight
             expected += weight * p_detect[c]
@@ -384,22 +392,23 @@ def _detections(
                 if not h.static:
                     # Missed, and yet not occluded.
                     missed = h.weight * (1.0 - h.occluded - visible[c])
-                    weight = exists[t] / unseen * missed * probability(h.genuine)
+                    weight = exists[t] / unseen * missed * genuine[c]
                     chances += weight
                     expected += weight * p_detect[c]
     return hits, chances, expected
 
 
 @njit(**INNER)
-def _detection_terms(hypotheses: Records, p_detect: F8, s: Settings) -> tuple[F8, F8, F8]:
+def _detection_terms(hypotheses: Records, p_detect: F8, s: Settings) -> tuple[F8, F8, F8, F8]:
     """(C,) p_D of each hypothesis, which may be occluded or static clutter [PMB (12)]; (C,) p_D of
-    a target that may be occluded; and (C, 3) what is known of its noises, (0, 3) if they are the
-    model's.
+    a target that may be occluded; (C, 3) what is known of its noises, (0, 3) if they are the
+    model's; and (C,) the probability that it is genuine.
 
     ``p_detect`` (C,) is the sensor's.
     """
     own = np.empty(len(hypotheses))
     visible = np.empty(len(hypotheses))
+    genuine = np.empty(len(hypotheses))
     tails = np.empty((len(hypotheses) if s.noise_freedom > 0.0 else 0, 3))
     for c in range(len(hypotheses)):
         h = hypotheses[c]
@@ -407,19 +416,21 @@ def _detection_terms(hypotheses: Records, p_detect: F8, s: Settings) -> tuple[F8
         p = odds * p_detect[c] / (1.0 + (odds - 1.0) * p_detect[c])
         visible[c] = (1.0 - h.occluded) * p
         own[c] = visible[c]
+        genuine[c] = probability(h.genuine)
         if h.static:
-            genuine = probability(h.genuine)
-            own[c] = genuine * visible[c] + (1.0 - genuine) * s.static_detection_probability
+            clutter = (1.0 - genuine[c]) * s.static_detection_probability
+            own[c] = genuine[c] * visible[c] + clutter
         if s.noise_freedom > 0.0:
             tails[c, 0] = h.position_scale
             tails[c, 1] = h.size_scale
             tails[c, 2] = h.freedom
-    return own, visible, tails
+    return own, visible, tails, genuine
 
 
 @njit(**INNER)
 def _associate(
     before: tuple[Records, Records, F8],
+    genuine: F8,
     pairs: Records,
     exists: F8,
     clutter: F8,
@@ -431,22 +442,22 @@ def _associate(
     """Write the probability of each pair as its weight, and those that a target exists and was
     missed into ``exists`` (T,); compute the new targets [PMB (7)].
 
-    ``before`` are the targets, their hypotheses and the p_D of these; ``clutter`` and ``density``
-    (N,) are κ and λ̂. Writes into ``measured`` (3, N) C(z), the probability of a false alarm, and
+    ``before`` are the targets, their hypotheses and the p_D of these, ``genuine`` (C,) the
+    probabilities that these are no clutter; ``clutter`` and ``density`` (N,) are κ and λ̂. Writes
+    into ``measured`` (3, N) C(z), the probability of a false alarm, and
     the probability that a new target exists. Returns the mass of new targets, how many measurements
     have κ + C = 0, and how many begin a target.
     """
     evidence = measured[0]
     false_alarm = measured[1]
     r_new = measured[2]
-    hypotheses = before[1]
     first = np.empty(clutter.size)
-    genuine = probability(scores.prior)
+    prior = probability(scores.prior)
     static = s.standing_prior * (1.0 - probability(s.standing_genuine))
     for j in range(clutter.size):
-        first[j] = density[j] * (1.0 + genuine * (scores.odds[j] - 1.0))
+        first[j] = density[j] * (1.0 + prior * (scores.odds[j] - 1.0))
         evidence[j] = clutter[j] + first[j]
-    p_new = _weigh(before, pairs, exists, scores.odds, evidence)
+    p_new = _weigh(before, genuine, pairs, exists, scores.odds, evidence)
     born = 0.0
     vanished = 0
     started = 0
@@ -462,7 +473,7 @@ def _associate(
             r_new[j] = 0.0
         started += r_new[j] > 0.0
     for q in range(pairs.size):
-        share = 1.0 - probability(hypotheses[pairs[q].gaussian].genuine)
+        share = 1.0 - genuine[pairs[q].gaussian]
         false_alarm[pairs[q].measurement] += pairs[q].weight * share
     for j in range(clutter.size):
         if evidence[j] == 0.0:
@@ -474,7 +485,12 @@ def _associate(
 
 @njit(**INNER)
 def _weigh(
-    before: tuple[Records, Records, F8], pairs: Records, missed: F8, odds: F8, evidence: F8
+    before: tuple[Records, Records, F8],
+    genuine: F8,
+    pairs: Records,
+    missed: F8,
+    odds: F8,
+    evidence: F8,
 ) -> F8:
     """(N,) probability that a measurement is no target's, by the odds ψ of the pairs [PMB (4)]; the
     others are written as by `_associate`.
@@ -498,7 +514,7 @@ def _weigh(
             pair = pairs[q]
             c = pair.gaussian
             j = pair.measurement
-            scored = 1.0 + probability(hypotheses[c].genuine) * (odds[j] - 1.0)
+            scored = 1.0 + genuine[c] * (odds[j] - 1.0)
             joint = (
                 target.r * hypotheses[c].weight * p_detect[c] * np.exp(pair.log_density) * scored
             )
