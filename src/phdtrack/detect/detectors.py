@@ -109,7 +109,9 @@ def make_detector(
                 f"detector {name!r} has no parameter {key!r}", cure=did_you_mean(key, known)
             )
         target = blobs if key in ConnectedComponents.__dataclass_fields__ else own
-        target[key] = _converted(key, value, type(known[key]))
+        # A default of None means: as the network usually has it.
+        expected = bool if known[key] is None else type(known[key])
+        target[key] = _converted(key, value, expected)
     if blobs:
         own["blobs"] = ConnectedComponents(**blobs)
     if name.startswith(_NETWORK):

@@ -2,8 +2,8 @@
 outputs mean, `onnx_layouts` reads them.
 
 Boxes are in pixels of the input, or in shares of it if no number is above 2. The frame is scaled
-into the input with its aspect kept and grey around it; boxes are in pixels of the frame, cut at its
-border.
+into the input with its aspect kept and grey around it, or stretched if such networks are trained
+so; boxes are in pixels of the frame, cut at its border.
 """
 
 from __future__ import annotations
@@ -71,8 +71,14 @@ _SUPPORTED_OUTPUTS = (
 )
 _OTHER_LAYOUT = (
     f"If the boxes are wrong, choose detector.layout ({', '.join(LAYOUTS[:-1])} or {LAYOUTS[-1]}),"
-    " detector.pixels or detector.bgr, or use --detections FILE."
+    " detector.pixels, detector.bgr or detector.stretch, or use --detections FILE."
 )
+_PIXEL_WORDS: Mapping[str, str] = {
+    "unit": "from 0 to 1",
+    "bytes": "from 0 to 255",
+    "signed": "from -1 to 1",
+    "imagenet": "with mean 0 and deviation 1",
+}
 # Confident boxes of one frame, of which most may not have right left of left.
 _MIN_BOXES_TO_JUDGE = 3
 # Numbers of COCO's categories that the 80 classes leave out, of networks that count to 90.
@@ -117,8 +123,9 @@ class OnnxDetector:
     layout : of the outputs, one of `onnx_layouts.LAYOUTS`, if the recognised one is wrong.
     pixels : unit (0 to 1), bytes (0 to 255), signed (-1 to 1) or imagenet (mean 0, deviation 1);
         empty: unit, for DETR and RF-DETR imagenet, for YOLOX bytes with blue before red.
-    bgr : the network takes blue before red.
-    stretch : stretch the frame to fill the input, without keeping its aspect.
+    bgr : the network takes blue before red; None: as usual for such networks.
+    stretch : stretch the frame to fill the input, without keeping its aspect; None: as usual for
+        such networks.
     size : longer side of the input in pixels, if any is accepted; 0: as the metadata states, or
         640.
     batch : frames of a file per call, if the network accepts several.
@@ -131,8 +138,8 @@ class OnnxDetector:
     classes: str = ""
     layout: str = ""
     pixels: str = ""
-    bgr: bool = False
-    stretch: bool = False
+    bgr: bool | None = None
+    stretch: bool | None = None
     size: Count = 0
     batch: PositiveCount = 1
     threads: Count = 0
@@ -221,7 +228,8 @@ class OnnxDetector:
         cannot have the meaning that they are read with.
         """
         xyxy, score, label = self.output_layout.decode(outputs)
-        good = (score >= self.confidence) & np.isfinite(xyxy).all(axis=1)
+        # Rows without a meaning have a class below 0.
+        good = (score >= self.confidence) & (label >= 0) & np.isfinite(xyxy).all(axis=1)
         self._check(frame, xyxy[good], score)
         if self._wanted:
             good &= np.isin(label, self._wanted)
@@ -270,7 +278,7 @@ class OnnxDetector:
         size = np.array([image.shape[1], image.shape[0]])
         available = np.array([shape.width or self._longer_side, shape.height or self._longer_side])
         scale = available / size
-        if not self.stretch:
+        if not self._stretched:
             scale = scale.min()
         inner = np.maximum(np.rint(size * scale), 1).astype(np.int64)
         # If any size is accepted there is no more grey than the stride requires.
@@ -295,7 +303,16 @@ class OnnxDetector:
         """True if the network takes blue before red. A scale that the user chose means that the
         usual order of such networks is not meant either.
         """
-        return self.bgr or (not self.pixels and self.output_layout.bgr)
+        if self.bgr is not None:
+            return self.bgr
+        return not self.pixels and self.output_layout.bgr
+
+    @property
+    def _stretched(self) -> bool:
+        """True if frames fill the input without their aspect."""
+        if self.stretch is not None:
+            return self.stretch
+        return self.output_layout.stretch
 
     def _normalised(self, canvas: Image) -> Array:
         """(3, H, W) the colours of a picture as the network takes them."""
@@ -382,6 +399,7 @@ class OnnxDetector:
             task,
             metadata.get("head", "") or metadata.get("description", ""),
             self._input.channels_last,
+            any("size" in name for name in self._other_inputs),
         )
         layout = recognise(probe)
         if layout is not None:
@@ -399,7 +417,15 @@ class OnnxDetector:
     def _description(self) -> str:
         """A sentence about the layout that was recognised, and why."""
         layout = self.output_layout
-        return f"{self.file}: the outputs are read as {layout.name}, by {layout.evidence}."
+        pixels = _PIXEL_WORDS[self.pixels or layout.pixels]
+        if self._input.dtype == np.uint8:
+            pixels = "as bytes"
+        order = "blue" if self._blue_first else "red"
+        shape = "stretched" if self._stretched else "with their aspect kept"
+        return (
+            f"{self.file}: the outputs are read as {layout.name}, by {layout.evidence}. Frames go"
+            f" in {shape}, {order} first, {pixels}."
+        )
 
     def _guesses(self) -> Iterator[str]:
         """Sentences about what was guessed, given the class names of the metadata."""
@@ -412,6 +438,8 @@ class OnnxDetector:
             )
         if self.output_layout.guessed:
             yield f"{self._description()} This is a guess. {_OTHER_LAYOUT}"
+        elif self.output_layout.input_doubt and not self.pixels and self._input.dtype != np.uint8:
+            yield f"{self._description()} {self.output_layout.input_doubt}"
 
     def _class_id(self, word: str) -> int:
         """The number of a class. Raises `InputError` if there is none of this name."""
@@ -439,8 +467,8 @@ def _class_names(names: Any) -> Mapping[int, str]:
     """The class names in the metadata, a list or a dictionary; empty for anything else."""
     if isinstance(names, list | tuple):
         names = dict(enumerate(names))
-    if isinstance(names, dict) and all(type(key) is int for key in names):
-        return {key: str(value) for key, value in names.items()}
+    if isinstance(names, dict) and all(str(key).isdecimal() for key in names):
+        return {int(key): str(value) for key, value in names.items()}
     return {}
 
 

@@ -33,11 +33,14 @@ class Layout(NamedTuple):
     batched : True if the outputs have an axis for pictures.
     pixels : the usual scale of the input of such networks.
     bgr : True if such networks usually take blue before red.
+    stretch : True if such networks are trained on pictures stretched to their input.
     name : of the layout, for the user.
     evidence : why it was recognised, for the user.
     guessed : True if the evidence also fits another layout.
     shares : True if boxes are in shares of the input, False if they are in pixels; None if that
         is seen only in the boxes of a frame.
+    input_doubt : a sentence for the user if networks with such outputs differ in the input that
+        they take; empty if they do not.
     """
 
     decode: Decode
@@ -50,6 +53,8 @@ class Layout(NamedTuple):
     evidence: str = ""
     guessed: bool = False
     shares: bool | None = None
+    stretch: bool = False
+    input_doubt: str = ""
 
 
 def unbatched() -> Layout:
@@ -86,23 +91,28 @@ def grid(
     place: int,
     upright: bool,
     objectness: bool,
+    centred: bool,
     columns: tuple[int, int],
     outputs: Sequence[Array],
 ) -> tuple[Array, Array, Array]:
-    """Decode rows of centre, size, objectness and scores.
+    """Decode rows of a box, objectness and scores.
 
     Parameters
     ----------
     place : index of the output.
     upright : False: rows and columns are exchanged.
     objectness : True if the fifth column is the probability of an object.
+    centred : True: the box is centre and size; False: left, top, right, bottom.
     columns : the first column with scores, and the one after the last. None: there is one class.
     outputs : of the network for one picture.
     """
     rows = outputs[place] if upright else outputs[place].T
     rows = rows.astype(np.float32, copy=False)
     score, label = _largest(rows, objectness, columns)
-    return _corners(rows[:, :4]), score, label
+    boxes = rows[:, :4]
+    if centred:
+        boxes = _corners(boxes)
+    return boxes, score, label
 
 
 def cells(
@@ -147,7 +157,7 @@ def cell_anchors(width: int, height: int, sides: Sequence[int]) -> Array:
 
 
 def separate(
-    places: tuple[int, int, int], order: list[int], outputs: Sequence[Array]
+    places: tuple[int, int, int], order: list[int], centred: bool, outputs: Sequence[Array]
 ) -> tuple[Array, Array, Array]:
     """Decode boxes, scores, and labels if there are any.
 
@@ -155,16 +165,21 @@ def separate(
     ----------
     places : indices of these outputs; that of labels is −1 without labels.
     order : of left, top, right and bottom in a box.
-    outputs : of the network for one picture.
+    centred : True: the box is centre and size; False: left, top, right, bottom.
+    outputs : of the network for one picture. Scores and labels may have an axis of length 1 behind
+        that of the boxes.
     """
     boxes, score = (outputs[place].astype(np.float32) for place in places[:2])
-    label: Array = np.zeros(len(score), np.int64)
+    label: Array = np.zeros(len(boxes), np.int64)
     if places[2] >= 0:
-        label = outputs[places[2]]
+        label = outputs[places[2]].reshape(len(boxes))
     if places[1] == places[0]:
         # The fifth number of a box is its score.
         score = boxes[:, 4]
-    return boxes[:, order], score, label
+    boxes = boxes[:, order]
+    if centred:
+        boxes = _corners(boxes)
+    return boxes, score.reshape(len(boxes)), label
 
 
 class ClassScores(NamedTuple):

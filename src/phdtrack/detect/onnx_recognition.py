@@ -4,7 +4,8 @@ The values are those for a uniformly grey picture. They tell apart layouts that 
 
 * Columns of class scores lie between 0 and 1. Body points are in pixels, and numbers of masks are
   of both signs, so that they are no scores.
-* Right is never left of left: final boxes that break this are centres and sizes.
+* Right is never left of left: boxes that break this are centres and sizes. Boxes of every cell of
+  the input that keep it are corners: centres and sizes all over a picture would break it.
 * Three boxes for each cell of the input mean a YOLO with anchors, one means a later one.
 * Logarithms of sizes are negative where boxes are still relative to cells, as in a YOLOX.
 * A class that wins nearly everywhere in a grey picture means "no object".
@@ -46,12 +47,30 @@ SCORE_TOLERANCE = 0.01
 # of boxes in shares nearly all.
 _ORDERED_SHARE = 0.5
 _ORDERED_SHARE_OF_SHARES = 0.95
+# Of the boxes of every cell nearly all have area if they are corners.
+_ORDERED_SHARE_OF_ALL = 0.95
 # Sides of the cells of usual networks in pixels.
 _USUAL_SIDES = (8, 16, 32)
 _SIDES = (_USUAL_SIDES, (8, 16, 32, 64), (16, 32))
 # Sums of probabilities of all classes differ from 1 by no more than this.
 _SUM_TOLERANCE = 0.02
 _COCO_CLASSES = 80
+# What networks with the same outputs need where they differ.
+_DETR_INPUTS = (
+    "RT-DETR and D-FINE take this. Deformable DETR, Conditional DETR, DINO, LW-DETR and DEIMv2 need"
+    " detector.pixels=imagenet; all but the last two detector.stretch=false."
+)
+_PADDLE_INPUTS = (
+    "PP-YOLOE+ and RT-DETR take this. PP-YOLOE and PicoDet need detector.pixels=imagenet."
+)
+_MMDETECTION_INPUTS = (
+    "Most of its networks take this. RTMDet needs detector.bgr=true, YOLOX detector.pixels=bytes"
+    " and detector.bgr=true."
+)
+_SSD_INPUTS = (
+    "That these are its pixels is a guess: MobileNet-SSD needs detector.pixels=signed, others"
+    " detector.pixels=bytes, both often detector.bgr=true."
+)
 # Medians over all boxes of a grey picture, of what can be no score and of scores.
 _LARGE_SCORE = 0.25
 _SMALL_SCORE = 0.1
@@ -74,6 +93,7 @@ class Probe(NamedTuple):
     names : number of class names in the metadata.
     task, head : of the metadata; empty without them.
     channels_last : True if colours are the last axis of the input.
+    sized : True if the network is given the size of the picture that boxes refer to.
     """
 
     outputs: Mapping[str, Array]
@@ -85,6 +105,7 @@ class Probe(NamedTuple):
     task: str
     head: str
     channels_last: bool
+    sized: bool = False
 
     @property
     def is_rtdetr(self) -> bool:
@@ -162,12 +183,16 @@ def _of_all_pictures(probe: Probe) -> Layout | None:
     place = tables[0]
     shape = arrays[place].shape
     guessed = False
+    stretch = False
+    doubt = ""
     if len(shape) == 2 and shape[1] == 7:
         columns = _YOLOV7_COLUMNS
         name = "YOLO v7 with suppression inside (image, corners, class, score)"
     elif len(shape) == 4 and shape[:2] == (1, 1) and shape[3] == 7:
         columns = _SSD_COLUMNS
         name = "SSD (image, class, score, corners)"
+        stretch = True
+        doubt = _SSD_INPUTS
     elif len(shape) == 2 and shape[1] == 6:
         rows = arrays[place]
         ends = not (rows[:, 5] % 1).any() and bool(_are_scores(rows[:, 4:5]).all())
@@ -177,12 +202,23 @@ def _of_all_pictures(probe: Probe) -> Layout | None:
         if starts and (not ends or len(arrays) == 2):
             columns = _PADDLE_COLUMNS
             name = "PaddleDetection (class, score, corners)"
+            stretch = True
+            doubt = _PADDLE_INPUTS
         guessed = starts == ends
     else:
         return None
     decode = partial(end_to_end, place, columns, False)
-    evidence = f"the shape {probe.shape(place)}"
-    return Layout(decode, probe.names, False, False, "unit", False, name, evidence, guessed)
+    return Layout(
+        decode,
+        probe.names,
+        False,
+        False,
+        name=name,
+        evidence=f"the shape {probe.shape(place)}",
+        guessed=guessed,
+        stretch=stretch,
+        input_doubt=doubt,
+    )
 
 
 def _of_final_rows(probe: Probe, place: int) -> Layout | None:
@@ -213,17 +249,32 @@ def _of_final_rows(probe: Probe, place: int) -> Layout | None:
     else:
         guessed = not probe.names and not probe.task
     name = "final boxes (left, top, right, bottom, score, class)"
+    overlapping = not probe.layout and array.shape[1] > _MAX_FINAL_ROWS
     if centred:
         name = "RT-DETR (centre, size, score, class)"
-    decode = partial(end_to_end, place, USUAL_COLUMNS, centred)
-    return Layout(decode, probe.names, False, name=name, evidence=evidence, guessed=guessed)
+    elif overlapping:
+        name = "boxes before suppression (left, top, right, bottom, score, class)"
+        guessed = True
+    return Layout(
+        partial(end_to_end, place, USUAL_COLUMNS, centred),
+        probe.names,
+        overlapping,
+        name=name,
+        evidence=evidence,
+        guessed=guessed,
+        stretch=centred,
+    )
 
 
 def _are_final(probe: Probe, rows: Array, high: int) -> bool:
     """Return True if each row has a box, a score, a class, and perhaps masks or body points."""
     wide = rows.shape[1]
-    if high > _MAX_FINAL_ROWS or (rows[:, 5] % 1).any():
+    if (rows[:, 5] % 1).any():
         return False
+    if high > _MAX_FINAL_ROWS:
+        # A score of exactly 0 or 1 in every row is a whole number, too, but not behind corners.
+        scores = bool(_are_scores(rows[:, 4:5]).all())
+        return wide == 6 and scores and _ordered_share(rows[:, :4]) >= _ORDERED_SHARE_OF_ALL
     # Scores of 0 and 1 are whole numbers, too.
     usual = _cell_count(probe, _USUAL_SIDES)
     if high in (usual, 3 * usual):
@@ -272,12 +323,13 @@ _V6 = "YOLO v6 (centre, size, objectness 1, scores)"
 _V8 = "YOLO v8 and later (centre, size, scores)"
 _YOLOX = "YOLOX (centre, size, objectness, scores)"
 _RTDETR = "RT-DETR (centre, size, scores)"
+_CORNERS = "corners and scores of all classes (left, top, right, bottom, scores)"
 
 
 def _of_grid(probe: Probe, place: int) -> Layout | None:
     """The layout of a network with a table of boxes and scores of all classes; None for others."""
     array = [*probe.outputs.values()][place]
-    form = _form(probe, array)
+    form = _form_with_corners(probe, array, _form(probe, array))
     rows = array if form.upright else array.swapaxes(1, 2)
     high, wide = rows.shape[1:]
     first = 5 if form.objectness else 4
@@ -294,12 +346,13 @@ def _of_grid(probe: Probe, place: int) -> Layout | None:
     if columns != (first, wide):
         name += f", {wide - first - columns[1] + columns[0]} further numbers of each box left out"
     layout = Layout(
-        partial(grid, place, form.upright, form.objectness, columns),
+        partial(grid, place, form.upright, form.objectness, form.name != _CORNERS, columns),
         classes,
         form.name != _RTDETR,
         name=name,
         evidence=form.evidence,
         guessed=form.guessed,
+        stretch=form.name == _RTDETR,
     )
     if form.name == _YOLOX:
         layout = layout._replace(pixels="bytes", bgr=True)
@@ -346,6 +399,51 @@ def _form(probe: Probe, array: Array) -> _Form:
     if not names and high <= _MAX_FINAL_ROWS and shares:
         return _Form(True, False, _RTDETR, f"{shape} and boxes in shares of the input", True)
     return _Form(True, True, _V5, shape, True)
+
+
+def _form_with_corners(probe: Probe, array: Array, form: _Form) -> _Form:
+    """The form of a table that looks like ``form``, by its boxes: corners for those of SSD, RTMDet,
+    PicoDet and others, which have the shape of a YOLO's.
+    """
+    rows = array if form.upright else array.swapaxes(1, 2)
+    if probe.layout or rows.shape[2] <= 4 or not _have_corners(probe, rows[..., :4]):
+        return form
+    ordered = _ordered_share(rows[..., :4].reshape(-1, 4))
+    evidence = f"{form.evidence}; as corners {ordered:.0%} of its boxes have left before right"
+    return _Form(form.upright, False, _CORNERS, evidence, True)
+
+
+def _have_corners(probe: Probe, boxes: Array) -> bool:
+    """Return True if boxes (B, N, 4) from all over the picture are corners: right is never left of
+    left and, with a box for each cell, the middles of the corners are nearer to the cells.
+    """
+    count = boxes.shape[1]
+    if not len(boxes) or not _is_dense(probe, count):
+        return False
+    ordered = _ordered_share(boxes.reshape(-1, 4))
+    if _boxes_per_cell(probe, count) != 1:
+        return ordered >= _ORDERED_SHARE_OF_ALL
+    sides = next(one for one in _SIDES if _cell_count(probe, one) == count)
+    cell = cell_anchors(probe.width, probe.height, sides)
+    places = (cell[:, :2] + 0.5) * cell[:, 2:]
+    first = boxes[0].astype(np.float64)
+    if np.abs(first).max() <= MAX_SHARE:
+        first = first * [probe.width, probe.height, probe.width, probe.height]
+    as_centres = np.median(np.abs(first[:, :2] - places) / cell[:, 2:])
+    as_corners = np.median(np.abs((first[:, :2] + first[:, 2:]) / 2 - places) / cell[:, 2:])
+    return bool(ordered >= _ORDERED_SHARE and as_corners < as_centres)
+
+
+def _is_dense(probe: Probe, count: int) -> bool:
+    """Return True if so many boxes come from all over the picture, several for an object."""
+    return count > _MAX_FINAL_ROWS or _boxes_per_cell(probe, count) > 0
+
+
+def _ordered_share(boxes: Array) -> float:
+    """The share of boxes (N, 4) that have area if they are corners; 0 without boxes."""
+    if not len(boxes):
+        return 0.0
+    return float((boxes[:, 2:] > boxes[:, :2]).all(axis=1).mean())
 
 
 def _chosen_form(probe: Probe, high: int, wide: int) -> _Form:
@@ -481,31 +579,33 @@ def _of_several(probe: Probe) -> Layout | None:
     place = {name: k for k, name in enumerate(outputs)}
     shape = outputs[boxes].shape
     batched = outputs[boxes].ndim == 3
-    lists = [
-        name
-        for name, one in outputs.items()
-        if one.shape == shape[:-1] and not _has(name, "num|anchor|indices")
-    ]
+    lists = _lists(outputs, shape[:-1])
     labels = [
         name for name in lists if outputs[name].dtype.kind in "iu" or _has(name, "label|class")
     ]
+    if labels:
+        # Scores may have an axis of length 1.
+        lists += _lists(outputs, (*shape[:-1], 1))
     evidence = f"the outputs {', '.join(probe.shape(k) for k in range(len(outputs)))}"
     if width == 5 and len(lists) == len(labels) == 1:
         places = (place[boxes], place[boxes], place[labels[0]])
         name = "MMDetection (corners with score; label)"
-        decode = partial(separate, places, [0, 1, 2, 3])
-        return Layout(decode, 0, False, batched, "imagenet", name=name, evidence=evidence)
+        decode = partial(separate, places, [0, 1, 2, 3], False)
+        return Layout(
+            decode,
+            0,
+            False,
+            batched,
+            "imagenet",
+            name=name,
+            evidence=evidence,
+            input_doubt=_MMDETECTION_INPUTS,
+        )
     if width == 4 and len(lists) - len(labels) == 1 and len(labels) <= 1:
-        order = [0, 1, 2, 3]
-        name = "boxes, scores and labels (left, top, right, bottom)"
-        if probe.channels_last or _has(boxes, "detection_boxes"):
-            order = [1, 0, 3, 2]
-            name = "TensorFlow's boxes, scores and classes (top, left, bottom, right)"
         scores = next(name for name in lists if name not in labels)
         label_place = place[labels[0]] if labels else -1
-        places = (place[boxes], place[scores], label_place)
-        decode = partial(separate, places, order)
-        return Layout(decode, 0, False, batched, name=name, evidence=evidence)
+        listed = _of_lists(probe, boxes, (place[boxes], place[scores], label_place))
+        return listed._replace(batched=batched, evidence=f"{evidence}{listed.evidence}")
     if width == 5 or _has(boxes, "detection_boxes"):
         return None
     tables = [
@@ -517,10 +617,47 @@ def _of_several(probe: Probe) -> Layout | None:
         tables = [name for name in tables if _has(name, "logit|label|class|score|conf|prob")]
     if len(tables) != 1 or not outputs[boxes].size or not outputs[tables[0]].size:
         return None
-    found = _of_queries(outputs[tables[0]], outputs[boxes], boxes, (place[boxes], place[tables[0]]))
+    found = _of_queries(probe, boxes, tables[0])
     if found is None:
         return None
     return found._replace(batched=batched, evidence=f"{evidence}; {found.evidence}")
+
+
+def _lists(outputs: Mapping[str, Array], shape: tuple[int, ...]) -> list[str]:
+    """The names of outputs of this shape that may be scores or labels of boxes."""
+    return [
+        name
+        for name, one in outputs.items()
+        if one.shape == shape and not _has(name, "num|anchor|indices")
+    ]
+
+
+def _of_lists(probe: Probe, boxes: str, places: tuple[int, int, int]) -> Layout:
+    """The layout of a network with an output ``boxes`` and a score and a label for each of them, at
+    these ``places``.
+    """
+    corners = probe.outputs[boxes].reshape(-1, 4)
+    corners = corners[corners.any(axis=1)]
+    order = [0, 1, 2, 3]
+    name = "boxes, scores and labels (left, top, right, bottom)"
+    evidence = ""
+    if probe.channels_last or _has(boxes, "detection_boxes"):
+        order = [1, 0, 3, 2]
+        name = "TensorFlow's boxes, scores and classes (top, left, bottom, right)"
+    inverted = (corners[:, 2:] < corners[:, :2]).any(axis=1)
+    centred = len(corners) > 0 and float(inverted.mean()) > 1 - _ORDERED_SHARE
+    if centred:
+        name = "boxes, scores and labels (centre, size)"
+        evidence = f"; as corners {inverted.mean():.0%} of its boxes have right left of left"
+    return Layout(
+        partial(separate, places, order, centred),
+        0,
+        _is_dense(probe, probe.outputs[boxes].shape[-2]),
+        name=name,
+        evidence=evidence,
+        guessed=centred,
+        stretch=probe.sized,
+    )
 
 
 def _box_output(outputs: Mapping[str, Array]) -> tuple[str, int]:
@@ -537,27 +674,35 @@ def _box_output(outputs: Mapping[str, Array]) -> tuple[str, int]:
     return "", 0
 
 
-def _of_queries(
-    table: Array, boxes: Array, box_name: str, places: tuple[int, int]
-) -> Layout | None:
-    """The layout of a network with ``boxes`` and the scores of all classes for a grey picture, a
-    ``table``; None if nothing says whether the boxes are corners.
+def _of_queries(probe: Probe, boxes: str, table: str) -> Layout | None:
+    """The layout of a network with outputs ``boxes`` and ``table``, the scores of all classes; None
+    if nothing says whether the boxes are corners.
     """
-    corners = boxes.reshape(-1, 4)
-    many = len(corners) > _MAX_FINAL_ROWS
+    names = [*probe.outputs]
+    places = (names.index(boxes), names.index(table))
+    corners = probe.outputs[boxes].reshape(-1, 4)
+    many = _is_dense(probe, probe.outputs[boxes].shape[-2])
     ordered = float((corners[:, 2:] >= corners[:, :2]).all(axis=1).mean())
-    scores, evidence = _class_scores(table)
-    classes = table.shape[-1]
+    scores, evidence = _class_scores(probe.outputs[table])
+    classes = probe.outputs[table].shape[-1]
     if scores.background == classes - 1:
         classes -= 1
-    if _has(box_name, "pred_boxes|dets") or ordered < (_ORDERED_SHARE if many else 1):
-        pixels = "unit"
-        if _has(box_name, "dets") or scores.background is not None:
-            pixels = "imagenet"
-        name = "DETR (centre, size; scores of all classes)"
-        decode = partial(queries, places, scores, True)
-        return Layout(decode, classes, False, pixels=pixels, name=name, evidence=evidence)
-    if not (corners[:, 2:] > corners[:, :2]).all(axis=1).mean() > _ORDERED_SHARE:
+    are_corners = _have_corners(probe, corners.reshape(-1, probe.outputs[boxes].shape[-2], 4))
+    named = _has(boxes, "pred_boxes|dets") and not are_corners
+    if named or ordered < (_ORDERED_SHARE if many else 1):
+        found = Layout(
+            partial(queries, places, scores, True),
+            classes,
+            many,
+            name="DETR (centre, size; scores of all classes)",
+            evidence=evidence,
+        )
+        if scores.background is not None:
+            return found._replace(pixels="imagenet")
+        if _has(boxes, "dets"):
+            return found._replace(pixels="imagenet", stretch=True)
+        return found._replace(stretch=True, input_doubt=_DETR_INPUTS)
+    if not _ordered_share(corners) > _ORDERED_SHARE:
         return None
     name = "SSD or YOLO-NAS (corners; scores of all classes)"
     decode = partial(queries, places, scores, False)
