@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -173,6 +174,21 @@ def test_what_was_detected_is_used_again_and_gives_the_same(detector: str, work:
     assert (rows(), Path("run/camera_motion.csv").read_bytes()) == (first, motion)
     assert "detections_reused" not in track(*other, "--detect-again", detector=detector)
     assert rows() == again
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [("sources_digest", lambda home: "other"), ("detecting_packages", lambda: {"av": "99.0"})],
+)
+def test_other_code_detects_anew(
+    work: Path, monkeypatch: pytest.MonkeyPatch, part: str, value: Callable[..., object]
+) -> None:
+    def reused() -> bool:
+        return "detections_reused" in track("--overwrite", detector="onnx:net.onnx")
+
+    assert [reused(), reused()] == [False, True]
+    monkeypatch.setattr(f"phdtrack.run.preparation.{part}", value)
+    assert [reused(), reused()] == [False, True]
 
 
 def test_another_video_detector_or_setting_is_detected_anew(work: Path) -> None:

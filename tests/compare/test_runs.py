@@ -16,10 +16,11 @@ from compare_cases import FRAMES, planned, sequence, small
 import phdtrack
 from phdtrack.compare import run, runs, steps
 from phdtrack.compare.plans import Run
-from phdtrack.compare.runs import ComparedRun, read_about, run_input, sources_digest
+from phdtrack.compare.runs import ComparedRun, read_about, run_input
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.metrics import evaluate
 from phdtrack.parallel import Failed
+from phdtrack.run.environment import sources_digest
 
 
 def deciding(folder: Path) -> dict[str, object]:

@@ -13,10 +13,8 @@ version and its sources.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-import os
 import shutil
 import time
 import zlib
@@ -54,6 +52,7 @@ from phdtrack.report.pages import write_run
 from phdtrack.report.record import known_mean
 from phdtrack.run.camera_motion import Mover, mover_of
 from phdtrack.run.detection_log import load_detections, save_detections
+from phdtrack.run.environment import HOME, detecting_packages, files_digest, sources_digest
 from phdtrack.run.inputs import detected_frames, open_inputs
 from phdtrack.run.loop import DetectedFrame, TrackedFrame, table_frames, track_frames
 from phdtrack.run.requests import SourceRequest
@@ -68,10 +67,8 @@ RUN = "run.json"
 TRACKS = "tracks.csv"
 DETECTIONS = "detections.csv"
 LOG = "detections.log"
-# Packages on which no result depends, and sections of the settings on which no track depends; the
-# detector's are among what decides the detections.
-_NO_RESULT = ("cli", "label", "live", "report", "groups")
-_HOME = Path(phdtrack.__file__).parent
+# Sections of the settings on which no track depends; the detector's are among what decides the
+# detections.
 _NO_TRACK = ("detector", "groups", "contours", "encounters")
 
 
@@ -316,7 +313,7 @@ def _tracking(run: Run, iou: float, folder: Path) -> _Piece:
     }
     decided_by = {
         "phdtrack": phdtrack.__version__,
-        "sources": sources_digest(_HOME),
+        "sources": sources_digest(HOME),
         "sequence": asdict(case.info) | {"name": case.sequence},
         "detections": _decides_detections(case),
         "truth": "" if case.truth is None else _contents(case.truth),
@@ -524,7 +521,8 @@ def _decides_detections(case: Case) -> dict[str, object]:
     return {
         **({"network": _contents(Path(network))} if network else {}),
         "phdtrack": phdtrack.__version__,
-        "sources": sources_digest(_HOME),
+        "sources": sources_digest(HOME),
+        "packages": detecting_packages(),
         "video": _contents(Path(case.source)),
         "detector": case.detections,
         "parameters": dict(case.parameters),
@@ -532,35 +530,14 @@ def _decides_detections(case: Case) -> dict[str, object]:
     }
 
 
-@lru_cache(maxsize=1)
-def sources_digest(home: Path) -> str:
-    """The digest of phdtrack's sources in a folder, as far as results depend on them."""
-    return _digest(
-        file
-        for file in sorted(home.rglob("*.py"))
-        if file.relative_to(home).parts[0] not in _NO_RESULT
-    )
-
-
 @lru_cache(maxsize=4096)
 def _contents(path: Path) -> str:
     """The digest of a file's contents; a folder stands for the images in it."""
-    return _digest(
+    return files_digest(
         [path]
         if path.is_file()
         else sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES)
     )
-
-
-def _digest(files: Iterable[Path]) -> str:
-    """32 hexadecimal digits for files by their names and contents."""
-    total = hashlib.sha256()
-    for file in files:
-        with file.open("rb") as content:
-            total.update(
-                os.fsencode(file.name) + b"\0" + hashlib.file_digest(content, "sha256").digest()
-            )
-    return total.hexdigest()[:32]
 
 
 def _files(value: object) -> list[str]:

@@ -8,8 +8,8 @@ again, from the log, and detects from there on. The same code writes the same nu
 that was never interrupted.
 
 After the last frame the log becomes ``detections.cache``. Its first block holds what decided it:
-the file, the detector and its settings. A run in which these are the same reads its detections from
-there.
+the file, the detector, its settings, and the code that reads and detects. A run in which these are
+the same reads its detections from there.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from phdtrack.run.pipeline_threads import ahead
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.types import STILL, Detections, Frame
 
-# Of the files: it changes with them, and with what a detector finds.
+# Of the files: it changes with them.
 FORMAT = 5
 Key = Mapping[str, object]
 # Bytes that a detector's knowledge may have: several times that of pictures of 8192x4320.

@@ -26,7 +26,7 @@ from phdtrack.run.camera_motion import mover_of
 from phdtrack.run.choices import chosen_settings, scene_settings
 from phdtrack.run.detection_log import source_of
 from phdtrack.run.directory import RunDirectory
-from phdtrack.run.environment import versions
+from phdtrack.run.environment import HOME, detecting_packages, sources_digest, versions
 from phdtrack.run.inputs import Inputs, open_inputs
 from phdtrack.run.observers import CameraObserver, RunObserver
 from phdtrack.run.reporter import SILENT, Reporter
@@ -253,6 +253,8 @@ def _detected_by(
         "mask": source_of(mask) if mask else [],
         "file": source_of(str(Path(source.source).resolve())),
         "parameters": parameters,
+        "sources": sources_digest(HOME),
+        "packages": detecting_packages(),
     }
 
 
