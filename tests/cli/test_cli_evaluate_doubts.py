@@ -152,6 +152,52 @@ def test_doubts_of_classes_are_told(truth: Path) -> None:
     assert "the file holds no track" in scores(classes, empty, "--per-class")[1]
 
 
+def with_classes(path: Path, name: str) -> Path:
+    """The same rows with a header, and of two classes."""
+    rows = [line.split(",") for line in path.read_text().split()]
+    lines = [",".join([*row[:6], "car" if row[1] == "1" else "bus"]) for row in rows]
+    named = path.with_name(name)
+    named.write_text("frame,id,left,top,width,height,class\n" + "\n".join(lines))
+    return named
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda row: [*row[:2], *(one / 2 for one in row[2:6])], "at 2 times"),
+        (lambda row: [row[0] - 1, *row[1:6]], "of the tracks count from 0? Say --first-frame ,0"),
+        (lambda row: [row[0] + 40, *row[1:6]], "40 of 40 rows lie after frame"),
+    ],
+)
+def test_classes_that_do_not_fit_are_told(truth: Path, change: Change, words: str) -> None:
+    fast = changed(truth, lambda row: [row[0] + 1, row[1], 40 * row[0], *row[3:]], "fast.txt")
+    of_truth = with_classes(fast, "truth.csv")
+    for one in (1, 2):
+        own = changed(fast, lambda row, own=one: row if row[1] == own else None, "own.txt")
+        tracks = with_classes(changed(own, change), "tracks.csv")
+        _, plain = scores(of_truth, tracks)
+        found, said = scores(of_truth, tracks, "--per-class")
+        assert list(found["classes"]) == (["car", "bus"] if one == 1 else ["bus", "car"])
+        assert words in said
+        assert said == plain
+
+
+def test_classes_in_shares_are_refused(truth: Path) -> None:
+    shares = changed(truth, lambda row: [*row[:2], *(one / 320 for one in row[2:6])])
+    asked = ("--truth", with_classes(truth, "truth.csv"), "--tracks", with_classes(shares, "t.csv"))
+    assert "no coordinate exceeds" in refused("evaluate", *asked, "--per-class")
+
+
+def test_keyframes_of_classes_are_scored_alone(truth: Path) -> None:
+    keys = changed(truth, lambda row: row if row[0] % 5 == 1 else None, "keys.txt")
+    files = (with_classes(keys, "keys.csv"), with_classes(truth, "tracks.csv"))
+    found, said = scores(*files, "--per-class")
+    assert [one["MOTA"] for one in found["classes"].values()] == [1, 1]
+    assert "only these 8 frames are scored" in said
+    found, said = scores(*files, "--per-class", "--labelled", "all")
+    assert all(one["MOTA"] < 0 for one in found["classes"].values())
+
+
 def test_rows_after_the_end_are_told(tmp_path: Path, truth: Path) -> None:
     tracks = truth.with_name("long.txt")
     late = [f"{k},9,5,5,20,20,1,-1,-1,-1" for k in range(41, 51)]
@@ -203,7 +249,7 @@ def test_options_are_checked(truth: Path) -> None:
         ("--format", "mot16", "expected mot15, mot17"),
         ("--first-frame", "2", "expected 0 or 1"),
         ("--units", "metres", "expected pixels, shares"),
-        ("--box", "ltwh,ltrb,ltwh", "TRUTH,TRACKS"),
+        ("--box", "ltwh,ltrb,ltwh", "TRUTH,FILE"),
     ):
         assert words in refused(*asked, option, value)
     assert "17 columns" in refused(*asked, "--format", "kitti")

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
-from phdtrack.conventions import FORMATS
 from phdtrack.errors import InputError
-from phdtrack.formats import (
-    Conventions,
-    read_detections,
-    read_tracks_named,
-    read_truth_by_class,
-)
+from phdtrack.formats import Conventions, read_detections
 from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.causes import FALSE, PLACES
@@ -28,12 +21,10 @@ from phdtrack.report.pages import score_meanings
 from phdtrack.run import directory as rundir
 from phdtrack.run.requests import ReadingRequest, frame_size, refuse
 from phdtrack.run.scored_files import (
-    NO_TRACK,
     ScoredFiles,
     ScoringRequest,
-    counted,
-    last_frame,
     read_scored,
+    read_scored_by_class,
 )
 from phdtrack.types import I8, Tracks, Truth
 
@@ -43,7 +34,6 @@ MODA N_MODA MODP MOTA MOTA_log MOTP IDF1 HOTA OSPA GOSPA OSPA2 SFDA ATA id_switc
 false_positives fragments false_tracks delay_mean frames
 """
 WORST = 5
-NO_TRUTH = Truth(*(np.zeros(0, np.int64),) * 2, np.zeros((0, 4)), np.zeros(0, np.bool_))
 BY_TRAJECTORY = (
     "TGOSPA",
     "TGOSPA_localisation",
@@ -51,10 +41,6 @@ BY_TRAJECTORY = (
     "TGOSPA_false",
     "TGOSPA_switching",
 )
-
-
-_FORMAT = f"Format of the truth, or TRUTH,TRACKS: {', '.join(FORMATS)}."
-_BOTH = "TRUTH,TRACKS for two values."
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,15 +64,9 @@ class EvaluateOptions:
     worst: Annotated[
         int, option("N", "For --errors: how many objects and tracks are named.", min=0)
     ] = WORST
-    format: Annotated[str, option("NAME", _FORMAT)] = ""
-    first_frame: Annotated[str, option("0|1", f"Number of the first frame; {_BOTH}")] = ""
-    units: Annotated[str, option("pixels|shares", f"Units of the boxes; {_BOTH}")] = ""
-    box: Annotated[str, option("ltwh|ltrb", f"The numbers of a box; {_BOTH}")] = ""
-    sequence: given.Sequence = ""
+    reading: ReadingRequest = field(default_factory=ReadingRequest)
     frame_size: given.FrameSize = ""
-    labelled: Annotated[
-        str, option("LIST", "Score these frames alone: 1,11,21-30, a file, truth, or all.")
-    ] = ""
+    labelled: given.Labelled = ""
     max_file_size: given.MaxFileSize = ""
 
 
@@ -164,26 +144,11 @@ def _errors(
 def _reading(asked: EvaluateOptions) -> tuple[Conventions, Conventions]:
     """The conventions of the truth and of the tracks. Raises `InputError` for unknown words."""
     size = frame_size(asked.frame_size) if asked.frame_size else (0, 0)
-    names = _two(asked.format, "--format", alone=True)
-    starts = _two(asked.first_frame, "--first-frame")
-    units = _two(asked.units, "--units")
-    boxes = _two(asked.box, "--box")
-    first, second = (
-        ReadingRequest(names[k], starts[k], units[k], boxes[k], asked.sequence) for k in (0, 1)
-    )
-    return first.conventions(size), second.conventions(size)
-
-
-def _two(text: str, where: str, *, alone: bool = False) -> tuple[str, str]:
-    """The words for truth and tracks from TRUTH,TRACKS, or one word for both; for the truth if it
-    stands ``alone``.
-    """
-    first, comma, second = text.partition(",")
-    if "," in second:
-        raise InputError(f"expected one word, or TRUTH,TRACKS, got {text!r}", where=where)
-    if comma or alone:
-        return first, second
-    return first, first
+    truth, tracks = asked.reading.pair()
+    if "," not in asked.reading.format:
+        # Trackers write other formats than annotators.
+        tracks = replace(tracks, format="")
+    return truth.conventions(size), tracks.conventions(size)
 
 
 def trajectory_scores(
@@ -203,40 +168,18 @@ def per_class(
     output: Output, request: ScoringRequest, asked: EvaluateOptions, *, iou: float
 ) -> dict[str, object]:
     """Scores of each class of the truth and of the tracks, in a table and for JSON."""
-    if asked.kitti or asked.errors or asked.labelled:
-        raise InputError(
-            "it does not go with --kitti, --errors or --labelled",
-            where="--per-class",
-            cure="Leave one out.",
-        )
-    of_truth, of_tracks = request.reading
-    notices = list[str]()
-    annotated = read_truth_by_class(request.truth, conventions=of_truth, notices=notices)
-    found, names = read_tracks_named(request.tracks, conventions=of_tracks, notices=notices)
-    every = max(annotated.values(), key=lambda one: one.frame.max(initial=0), default=NO_TRUTH)
-    frames = last_frame(request, every, found, notices)
-    label = np.array([names.get(one, str(one)).lower() for one in found.class_id.tolist()], np.str_)
-    words = {one: one for one in label.tolist()} | {
-        name.lower(): name for name in (*names.values(), *annotated)
+    if asked.kitti or asked.errors:
+        problem = "it does not go with --kitti or --errors"
+        raise InputError(problem, where="--per-class", cure="Leave one out.")
+    files = read_scored_by_class(request)
+    output.warn(files.notices)
+    scores = {
+        name: score(truth, tracks, frames=files.frames, iou=iou)
+        for name, (truth, tracks) in files.classes.items()
     }
-    scores = {}
-    untouched = list[str]()
-    for word, name in words.items():
-        objects = next((one for key, one in annotated.items() if key.lower() == word), NO_TRUTH)
-        own = found.select(label == word)
-        if asked.ignore is not None:
-            objects = counted(objects, own, asked.ignore, untouched)
-        if len(own) or len(objects):
-            scores[name] = score(objects, own, frames=frames, iou=iou)
-    if len(untouched) == len(words):
-        # No class has a box that the list touches.
-        notices += untouched[:1]
-    if not len(found):
-        notices.append(f"{request.tracks}: {NO_TRACK}")
-    output.warn(dict.fromkeys(notices))
     output.say(
-        f"{request.tracks} against {request.truth}: {frames} frames, each class on its own, match"
-        f" from IoU {iou:g}",
+        f"{request.tracks} against {request.truth}: {files.frames} frames, each class on its own,"
+        f" match from IoU {iou:g}",
         "",
     )
     score_table(output, scores)

@@ -108,7 +108,8 @@ def live(
     tracks go on. Ctrl-C, SIGTERM and SIGHUP end it with complete files and exit status 0. With
     --json stdout has a line for each event and for each change of a source's state.
     """
-    refuse({"--truth": options.truth}, "a camera has no annotated truth", "phdtrack live")
+    scoring = {"--truth": options.truth, "--labelled": options.labelled}
+    refuse(scoring, "a camera has no annotated truth", "phdtrack live")
     make = CameraSetup(options, tuple(scene_settings(scene)), detector, max_width, mask)
     known = class_names(make.new_detector(make.settings(), max_width or 0))
     addresses = named_sources(sources)

@@ -89,6 +89,9 @@ _FILTERS = "pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, pm
 Filter = Annotated[str, option("NAME", _FILTERS, "--filter", autocompletion=listed(_FILTERS))]
 SceneFile = Annotated[Path | None, option("FILE", "Scene file that `phdtrack learn` wrote.")]
 TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score against.")]
+Labelled = Annotated[
+    str, option("LIST", "Score these frames alone: 1,11,21-30, a file, truth, or all.")
+]
 _MARKED = "File of the marks of `phdtrack label`; default: runs/NAME.labels.sqlite."
 Labels = Annotated[Path | None, option("FILE", _MARKED)]
 Config = Annotated[
@@ -186,7 +189,8 @@ _MOST = (
 )
 MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
 
-_FORMAT = f"Format of the file of detections or tracks: {', '.join(FORMATS)}."
+_FORMAT = f"Format of the file of boxes: {', '.join(FORMATS)}; with --truth TRUTH,FILE."
+_BOX = "Left, top, then width, height or right, bottom; with --truth TRUTH,FILE."
 
 # How the fields of the requests of `phdtrack.run` are given on the command line.
 REQUESTS: dict[type[Any], dict[str, Any]] = {
@@ -203,11 +207,13 @@ REQUESTS: dict[type[Any], dict[str, Any]] = {
     },
     ReadingRequest: {
         "format": Annotated[str, option("NAME", _FORMAT, autocompletion=listed(_FORMAT))],
-        "first_frame": Annotated[str, option("0|1", "Number of that file's first frame.")],
-        "units": Annotated[str, option("pixels|shares", "Units of that file's boxes.")],
-        "box": Annotated[
-            str, option("ltwh|ltrb", "Its boxes: left, top, then width, height or right, bottom.")
+        "first_frame": Annotated[
+            str, option("0|1", "Number of its first frame; with --truth TRUTH,FILE.")
         ],
+        "units": Annotated[
+            str, option("pixels|shares", "Units of its boxes; with --truth TRUTH,FILE.")
+        ],
+        "box": Annotated[str, option("ltwh|ltrb", _BOX)],
         "sequence": Sequence,
     },
     TrackingRequest: {
@@ -217,6 +223,7 @@ REQUESTS: dict[type[Any], dict[str, Any]] = {
         "sets": Sets,
         "seed": Seed,
         "truth": TruthFile,
+        "labelled": Labelled,
         "threads": Threads,
         "classes": Classes,
         "max_detections": MaxDetections,

@@ -66,10 +66,10 @@ def _readings(tracks: Tracks) -> Iterator[_Reading]:
     frame = tracks.frame
     left, top, right, bottom = tracks.xyxy.T
     corners = np.stack([left, top, right - left, bottom - top], axis=1)
-    cure = "say --box ltrb for that file (TRUTH,TRACKS)"
+    cure = "say --box ltrb for that file (TRUTH,FILE)"
     yield _Reading(frame, corners, "if their sizes were corners", cure)
     sizes = np.stack([left, top, left + right, top + bottom], axis=1)
-    cure = "say --box ltwh for that file (TRUTH,TRACKS)"
+    cure = "say --box ltwh for that file (TRUTH,FILE)"
     yield _Reading(frame, sizes, "if their corners were sizes", cure)
     for shift, words in ((1, "later"), (-1, "earlier")):
         files = "tracks" if shift > 0 else "truth"

@@ -28,6 +28,9 @@ T = TypeVar("T")
 class ReadingRequest:
     """How a file of boxes is to be read; empty for what its content decides.
 
+    A file of truth may be read beside it: then each word except ``sequence`` may be two,
+    ``TRUTH,FILE``, of which one may be empty.
+
     Attributes
     ----------
     format, units, box, sequence : as the fields of `formats.Conventions`.
@@ -49,6 +52,23 @@ class ReadingRequest:
         first = int(self.first_frame) if self.first_frame else None
         return Conventions(self.format, first, self.units, self.box, self.sequence, size)
 
+    def pair(
+        self, *, truth: bool = True, file: bool = True
+    ) -> tuple[ReadingRequest, ReadingRequest]:
+        """How the truth is to be read, and the file beside it. Raises `InputError` for more than
+        two words.
+
+        Parameters
+        ----------
+        truth, file : whether a word that stands alone is that of the truth, and that of the file.
+        """
+        words = asdict(self)
+        del words["sequence"]
+        both = {name: _halves(value, name, truth, file) for name, value in words.items()}
+        first = {name: word for name, (word, _) in both.items()}
+        second = {name: word for name, (_, word) in both.items()}
+        return replace(self, **first), replace(self, **second)
+
     def options(self) -> dict[str, str]:
         """The values by the names of their options."""
         return {f"--{name.replace('_', '-')}": value for name, value in asdict(self).items()}
@@ -69,7 +89,7 @@ class SourceRequest:
     mask : image of the region of interest.
     on_error : ``stop`` or ``skip`` malformed rows of a file of detections.
     detect_again : do not reuse detections of an earlier run.
-    reading : how the file of detections, or of tracks, is to be read.
+    reading : how the file of detections, or of tracks, is to be read, and that of truth.
     """
 
     source: str = ""
@@ -101,6 +121,7 @@ class TrackingRequest:
     config, sets : TOML file of settings; single settings as ``section.name=value``.
     seed : seed of everything random.
     truth : file of annotated objects to score against.
+    labelled : frames that are scored, as `run.scored_files.ScoringRequest.labelled`.
     threads : threads of particle filters; None for the settings' value.
     classes : classes to track, separated by commas.
     max_detections : detections per frame; None for the settings' value.
@@ -112,6 +133,7 @@ class TrackingRequest:
     sets: list[str] | None = None
     seed: int = 0
     truth: Path | None = None
+    labelled: str = ""
     threads: int | None = None
     classes: str = ""
     max_detections: int | None = None
@@ -158,6 +180,19 @@ class RunRequest:
     camera_motion: str = ""
     checkpoint_every: float = CHECKPOINT_EVERY
     frames: str = ""
+
+
+def _halves(text: str, name: str, truth: bool, file: bool) -> tuple[str, str]:
+    """The words for the truth and for the file beside it, from TRUTH,FILE or a word that is that of
+    the ``truth``, of the ``file``, or both.
+    """
+    first, comma, second = text.partition(",")
+    if "," in second:
+        where = f"--{name.replace('_', '-')}"
+        raise InputError(f"expected one word, or TRUTH,FILE, got {text!r}", where=where)
+    if comma:
+        return first, second
+    return first * truth, first * file
 
 
 def for_name(request: T, name: str) -> T:

@@ -4,6 +4,7 @@ that are scored."""
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +14,15 @@ from phdtrack.arrays import intersection
 from phdtrack.conventions import ALL, BOXES
 from phdtrack.detect.convert import check_units
 from phdtrack.errors import InputError
-from phdtrack.files import load
+from phdtrack.files import AnyPath, load
 from phdtrack.formats import (
     Conventions,
     find_seqinfo,
     ignoring,
     read_tracks,
+    read_tracks_named,
     read_truth,
+    read_truth_by_class,
 )
 from phdtrack.metrics.agreement import other_reading
 from phdtrack.metrics.labelled import in_frames, keyframe_doubt, regularly_labelled
@@ -27,6 +30,7 @@ from phdtrack.types import F8, I8, LAST_FRAME, Tracks, Truth
 
 # The word for the frames in which the truth has rows.
 _OF_TRUTH = "truth"
+NO_TRUTH = Truth(*(np.zeros(0, np.int64),) * 2, np.zeros((0, 4)), np.zeros(0, np.bool_))
 NO_TRACK = "the file holds no track"
 _MAX_LISTED = 10_000_000
 
@@ -69,6 +73,17 @@ class ScoredFiles:
     labelled: I8
 
 
+@dataclass(frozen=True, slots=True)
+class ScoredClasses:
+    """Truth and tracks to score of each class by its name, the number of frames, and sentences
+    about doubts.
+    """
+
+    classes: Mapping[str, tuple[Truth, Tracks]]
+    frames: int
+    notices: Sequence[str]
+
+
 def read_scored(request: ScoringRequest) -> ScoredFiles:
     """Read truth and tracks. Raises `InputError` if one is missing or malformed, or its boxes
     cannot be in pixels.
@@ -79,23 +94,79 @@ def read_scored(request: ScoringRequest) -> ScoredFiles:
     tracks = read_tracks(
         request.tracks, kitti=request.kitti, conventions=of_tracks, notices=notices
     )
+    _check(request, truth, tracks, notices)
+    if request.ignore is not None:
+        truth = _counted(truth, tracks, request.ignore, notices)
+    labelled = _labelled(request, truth, tracks, notices)
+    if len(labelled):
+        truth, tracks = in_frames(truth, tracks, labelled)
+        return ScoredFiles(truth, tracks, len(labelled), notices, labelled)
+    frames = _last_frame(request, truth, tracks, notices)
+    return ScoredFiles(truth, tracks, frames, notices, labelled)
+
+
+def read_scored_by_class(request: ScoringRequest) -> ScoredClasses:
+    """Read the truth and the tracks of each class, checked as by `read_scored`. Raises `InputError`
+    as that, and if the truth has no classes.
+    """
+    notices = list[str]()
+    of_truth, of_tracks = request.reading
+    annotated = read_truth_by_class(request.truth, conventions=of_truth, notices=notices)
+    tracks, names = read_tracks_named(request.tracks, conventions=of_tracks, notices=notices)
+    every = _joined(annotated.values())
+    _check(request, every, tracks, notices)
+    label = np.array(
+        [names.get(one, str(one)).lower() for one in tracks.class_id.tolist()], np.str_
+    )
+    words = {one: one for one in label.tolist()} | {
+        name.lower(): name for name in (*names.values(), *annotated)
+    }
+    classes = dict[str, tuple[Truth, Tracks]]()
+    untouched = list[str]()
+    for word, name in words.items():
+        truth = _joined(one for key, one in annotated.items() if key.lower() == word)
+        own = tracks.select(label == word)
+        if request.ignore is not None:
+            truth = _counted(truth, own, request.ignore, untouched)
+        if len(own) or len(truth):
+            classes[name] = (truth, own)
+    if len(untouched) == len(words):
+        # No class has a box that the list touches.
+        notices += untouched[:1]
+    labelled = _labelled(request, every, tracks, notices)
+    if len(labelled):
+        classes = {name: in_frames(*files, labelled) for name, files in classes.items()}
+        return ScoredClasses(classes, len(labelled), tuple(dict.fromkeys(notices)))
+    frames = _last_frame(request, every, tracks, notices)
+    return ScoredClasses(classes, frames, tuple(dict.fromkeys(notices)))
+
+
+def _joined(parts: Iterable[Truth]) -> Truth:
+    """The rows and regions of all parts."""
+    every = [NO_TRUTH, *parts]
+    return Truth(
+        np.concatenate([one.frame for one in every]),
+        np.concatenate([one.identity for one in every]),
+        np.concatenate([one.xyxy for one in every]),
+        np.concatenate([one.distractor for one in every]),
+        np.concatenate([one.regions for one in every]),
+        max(one.least_height for one in every),
+    )
+
+
+def _check(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: list[str]) -> None:
+    """Report files that are empty, or would agree better if they were read otherwise. Raises
+    `InputError` for boxes that cannot be in pixels.
+    """
     _check_boxes(request, truth, tracks)
     if not len(truth):
         notices.append(f"{request.truth}: the truth holds no object")
     if not len(tracks):
         notices.append(f"{request.tracks}: {NO_TRACK}")
     notices += filter(None, [other_reading(truth, tracks)])
-    if request.ignore is not None:
-        truth = counted(truth, tracks, request.ignore, notices)
-    labelled = _labelled(request, truth, tracks, notices)
-    if len(labelled):
-        truth, tracks = in_frames(truth, tracks, labelled)
-        return ScoredFiles(truth, tracks, len(labelled), notices, labelled)
-    frames = last_frame(request, truth, tracks, notices)
-    return ScoredFiles(truth, tracks, frames, notices, labelled)
 
 
-def counted(truth: Truth, tracks: Tracks, ignore: Path, notices: list[str]) -> Truth:
+def _counted(truth: Truth, tracks: Tracks, ignore: Path, notices: list[str]) -> Truth:
     """The truth with the regions and objects of a list that do not count; reports a list that
     touches no box.
 
@@ -163,7 +234,7 @@ def _extent(xyxy: F8) -> tuple[int, int]:
     return int(right), int(bottom)
 
 
-def last_frame(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: list[str]) -> int:
+def _last_frame(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: list[str]) -> int:
     """The number of frames: the user's, that of seqinfo.ini, or the last with a box. Reports rows
     after the end.
 
@@ -197,23 +268,38 @@ def last_frame(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: l
 
 def _labelled(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: list[str]) -> I8:
     """The frames that are scored; empty for all."""
-    none: I8 = np.zeros(0, np.int64)
-    if request.labelled == ALL:
-        return none
-    if request.labelled == _OF_TRUTH:
+    if request.frames and not request.labelled:
+        return np.zeros(0, np.int64)
+    return labelled_frames(request.labelled, truth, tracks, request.truth, notices)
+
+
+def labelled_frames(
+    listed: str, truth: Truth, tracks: Tracks, path: AnyPath, notices: list[str]
+) -> I8:
+    """The numbers of the frames that are scored, ascending; empty for all. Raises `InputError` for
+    a list that is none.
+
+    Parameters
+    ----------
+    listed : as `ScoringRequest.labelled`.
+    truth, tracks : annotated objects, and the tracks to score.
+    path : of the truth, for sentences.
+    notices : receives what was decided by evidence, or is in doubt.
+    """
+    if listed == ALL:
+        return np.zeros(0, np.int64)
+    if listed == _OF_TRUTH:
         return np.unique(truth.frame)
-    if request.labelled:
-        return frame_numbers(request.labelled)
-    if request.frames:
-        return none
+    if listed:
+        return frame_numbers(listed)
     found = regularly_labelled(truth, tracks)
     if len(found):
         notices.append(
-            f"{request.truth}: objects are annotated in every {found[1] - found[0]}th frame alone,"
-            f" and only these {len(found)} frames are scored: --labelled all scores all"
+            f"{path}: objects are annotated in every {found[1] - found[0]}th frame alone, and only"
+            f" these {len(found)} frames are scored: --labelled all scores all"
         )
-    else:
-        notices += filter(None, [keyframe_doubt(truth, tracks)])
+    elif sentence := keyframe_doubt(truth, tracks):
+        notices.append(sentence)
     return found
 
 
