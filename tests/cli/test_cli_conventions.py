@@ -39,13 +39,13 @@ def shares(row: list[float]) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    "command", ["track", "groups", "count", "label", "learn", "export", "evaluate"]
+    "command", ["track", "groups", "count", "label", "learn", "export", "evaluate", "compare"]
 )
 def test_help_names_how_files_are_read(command: str) -> None:
     said = phdtrack(command, "--help").out
     for option in ("--format", "--first-frame", "--units", "--box", "--sequence"):
         assert option in said
-    assert ("--labelled" in said) == (command == "evaluate")
+    assert ("--labelled" in said) == ("--truth FILE" in said)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,38 @@ def test_truth_of_a_run_that_does_not_fit(sequence: Path, tmp_path: Path) -> Non
     assert "every 10th frame" not in phdtrack(*asked, keys).err
     rows = [line for line in truth.read_text().split() if int(line.split(",")[0]) % 5 == 1]
     keys.write_text("\n".join(rows))
-    assert "annotated in every 5th frame alone" in phdtrack(*asked, keys).err
+    said = phdtrack(*asked, keys)
+    assert "in every 5th frame alone, and only these 8 frames are scored" in said.err
+    alone = json.loads((tmp_path / "run" / "run.json").read_text())["scores"]
+    assert (alone["frames"], alone["false_positives"]) == (8, 0)
+    found = phdtrack(*asked, keys, "--labelled", "all", "--json")
+    assert "every 5th" not in found.err
+    assert found.object["scores"]["false_positives"] == 64
+    assert phdtrack(*asked, keys, "--labelled", "1,6", "--json").object["scores"]["frames"] == 2
+    assert "frame numbers from 1" in refused(*asked, keys, "--labelled", "0")
+    assert "Leave out --labelled or say --truth" in refused(*asked[:-1], "--labelled", "all")
+    part = phdtrack(*asked, keys, "--frames", "6-31", "--json").object
+    assert (part["scores"]["frames"], part["scores"]["false_positives"]) == (6, 0)
+
+
+def test_truth_of_a_run_is_read_as_stated(sequence: Path, tmp_path: Path) -> None:
+    detections = sequence / "det" / "det.txt"
+    truth = sequence / "gt" / "gt.txt"
+    asked = (*TRACK, detections, "--out", tmp_path / "run", "--overwrite", "--json", "--truth")
+    early = changed(truth, lambda row: [row[0] - 1, *row[1:]])
+    best = phdtrack(*asked, truth).object["scores"]["MOTA"]
+    for file, option, value in (
+        (changed(truth, corners, "corners.txt"), "--box", "ltrb,"),
+        (changed(truth, shares, "shares.txt"), "--units", "shares,"),
+        (early, "--first-frame", "0,"),
+        (truth, "--format", "mot17,mot15"),
+    ):
+        found = phdtrack(*asked, file, option, value).object["scores"]["MOTA"]
+        assert found == pytest.approx(best)
+    # A word that stands alone is that of the detections.
+    assert "not in shares" in refused(*asked, changed(truth, shares), "--units", "pixels")
+    assert "TRUTH,FILE" in refused(*asked, truth, "--box", "ltwh,ltrb,ltwh")
+    assert "expected ltwh, ltrb" in refused(*asked[:-1], "--box", "ltwh,ltrb")
 
 
 def test_tracks_to_export_are_read_as_stated(sequence: Path, tmp_path: Path) -> None:
@@ -188,3 +219,57 @@ def test_one_video_of_a_coco_file_is_tracked(tmp_path: Path) -> None:
     said = phdtrack(*asked, "--sequence", "south")
     assert "read the video south of 2" in said.err
     assert len(read_detections(tmp_path / "run" / "detections.csv")) == 20
+
+
+COMPARE = ("compare", "--filters", "none", "--seeds", 1, "--jobs", 1, "--json", "--overwrite")
+
+
+def moda(sequence: Path, *more: object) -> tuple[float, int, str]:
+    """The MODA and the false boxes that compare finds, and what it reports."""
+    said = phdtrack(*COMPARE, sequence, "--out", sequence.with_name("out"), *more)
+    assert said.status == 0, said
+    run = json.loads(next(sequence.with_name("out").rglob("runs/**/run.json")).read_text())
+    return run["scores"]["MODA"], run["scores"]["false_positives"], said.err
+
+
+@pytest.mark.parametrize(
+    ("change", "option", "value"),
+    [
+        (corners, "--box", "ltrb"),
+        (shares, "--units", "shares"),
+        (lambda row: [row[0] - 1, *row[1:]], "--first-frame", "0"),
+    ],
+)
+def test_compare_reads_files_as_stated(
+    tmp_path: Path, change: Change, option: str, value: str
+) -> None:
+    sequence = walkers(tmp_path / "seq")
+    best, _, _ = moda(sequence)
+    truth = changed(sequence / "gt" / "gt.txt", change)
+    assert moda(sequence, "--truth", truth, option, f"{value},")[0] == pytest.approx(best, abs=0.05)
+    detections = changed(sequence / "det" / "det.txt", change)
+    assert moda(sequence, "--detections", detections, option, value)[0] == pytest.approx(best)
+    both = ("--truth", truth, "--detections", detections, option, f"{value},{value}")
+    assert moda(sequence, *both)[0] == pytest.approx(best, abs=0.05)
+
+
+def test_compare_scores_keyframes_alone(tmp_path: Path) -> None:
+    sequence = walkers(tmp_path / "seq")
+    truth = sequence / "gt" / "gt.txt"
+    rows = [line for line in truth.read_text().split() if int(line.split(",")[0]) % 5 == 1]
+    truth.write_text("\n".join(rows))
+    best, false, said = moda(sequence)
+    assert (best > 0.5, false) == (True, 0)
+    assert "in every 5th frame alone, and only these 8 frames are scored" in said
+    _, false, said = moda(sequence, "--labelled", "all")
+    assert (false > 32, "every 5th" in said) == (True, False)
+    assert "frame numbers from 1" in refused(*COMPARE, sequence, "--labelled", "0")
+
+
+def test_compare_tells_of_truth_that_does_not_fit(tmp_path: Path) -> None:
+    sequence = walkers(tmp_path / "seq")
+    truth = sequence / "gt" / "gt.txt"
+    half = changed(truth, lambda row: [*row[:2], *(one / 2 for one in row[2:6]), *row[6:]])
+    assert "at 0.5 times their size" in moda(sequence, "--truth", half)[2]
+    asked = (*COMPARE, sequence, "--out", tmp_path / "out", "--truth")
+    assert "not in shares of its size" in refused(*asked, changed(truth, shares))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -31,6 +31,7 @@ from phdtrack.run import directory as rundir
 from phdtrack.run.choices import only_classes, scene_settings
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.preparation import begun_run
+from phdtrack.run.requests import ReadingRequest
 from phdtrack.tracker import Tracker
 
 DOCUMENT = "compare.json"
@@ -77,6 +78,8 @@ class PlanOptions:
     truth: Annotated[
         str, option("FILE", "Annotated objects of a video; {} stands for its name.")
     ] = ""
+    labelled: given.Labelled = ""
+    reading: ReadingRequest = field(default_factory=ReadingRequest)
     max_width: given.MaxWidth = None
     iou: given.Iou = 0.5
     classes: given.Classes = ""
@@ -99,6 +102,8 @@ class PlanOptions:
             detectors=listed(self.detectors),
             max_width=self.max_width,
             truth=self.truth,
+            labelled=self.labelled,
+            reading=self.reading,
             clutter=rates,
             seeds=self.seeds,
             variants=self.variants or (),

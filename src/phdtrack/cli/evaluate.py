@@ -17,6 +17,7 @@ from phdtrack.formats import Conventions, read_detections
 from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.causes import FALSE, PLACES
+from phdtrack.metrics.labelled import detections_in_frames
 from phdtrack.report.pages import score_meanings
 from phdtrack.run import directory as rundir
 from phdtrack.run.requests import ReadingRequest, frame_size, refuse
@@ -129,13 +130,12 @@ def _errors(
 ) -> dict[str, object]:
     """Misses and false boxes by cause, in tables and for JSON."""
     detections = None
-    if asked.detections and len(files.labelled):
-        problem = "the causes of misses need all frames, and only labelled ones are scored"
-        raise InputError(problem, where="--detections", cure="Leave it out, or --labelled.")
     if asked.detections:
         notices = list[str]()
         detections = read_detections(asked.detections, notices=notices)
         output.warn(notices)
+        if len(files.labelled):
+            detections = detections_in_frames(detections, files.labelled)
     errors = explain(files.truth, files.tracks, detections, frames=frames, iou=iou)
     error_tables(output, errors, asked.worst)
     return errors.as_dict(asked.worst)

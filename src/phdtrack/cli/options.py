@@ -189,8 +189,8 @@ _MOST = (
 )
 MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
 
-_FORMAT = f"Format of the file of boxes: {', '.join(FORMATS)}; with --truth TRUTH,FILE."
-_BOX = "Left, top, then width, height or right, bottom; with --truth TRUTH,FILE."
+_FORMAT = f"Format of the file of boxes: {', '.join(FORMATS)}; of two files TRUTH,FILE."
+_BOX = "Left, top, then width, height or right, bottom; of two files TRUTH,FILE."
 
 # How the fields of the requests of `phdtrack.run` are given on the command line.
 REQUESTS: dict[type[Any], dict[str, Any]] = {
@@ -208,10 +208,10 @@ REQUESTS: dict[type[Any], dict[str, Any]] = {
     ReadingRequest: {
         "format": Annotated[str, option("NAME", _FORMAT, autocompletion=listed(_FORMAT))],
         "first_frame": Annotated[
-            str, option("0|1", "Number of its first frame; with --truth TRUTH,FILE.")
+            str, option("0|1", "Number of its first frame; of two files TRUTH,FILE.")
         ],
         "units": Annotated[
-            str, option("pixels|shares", "Units of its boxes; with --truth TRUTH,FILE.")
+            str, option("pixels|shares", "Units of its boxes; of two files TRUTH,FILE.")
         ],
         "box": Annotated[str, option("ltwh|ltrb", _BOX)],
         "sequence": Sequence,

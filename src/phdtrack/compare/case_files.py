@@ -12,9 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phdtrack.compare.plans import Case, Request
 from phdtrack.detect import detector_parameters, make_detector
-from phdtrack.detect.convert import within_frame
+from phdtrack.detect.convert import check_units, within_frame
 from phdtrack.detect.detectors import working_width
 from phdtrack.errors import InputError
 from phdtrack.formats import Conventions, find_seqinfo, read_detections, read_truth
@@ -70,28 +72,63 @@ def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list
             " folder.",
         )
     info = find_seqinfo(word)
-    last = 0
-    if truth is not None:
-        objects = read_truth(truth, conventions=Conventions(sequence=name), notices=[])
-        last = int(objects.frame.max(initial=0))
     decoded = None
     if source and (detectors or info is None):
-        video = open_source(source)
-        decoded = video.info
-        if video.times is None and info is not None:
-            # Images do not know their rate.
-            decoded = replace(decoded, fps=info.fps)
-    cases = [
-        Case(name, label, _info(word, name, file, info or decoded, last), truth, source, file)
-        for label, file in files
-    ]
-    if decoded is None or not detectors:
-        return cases
-    sequence = replace(decoded, frames=0, name=name)
-    for detector, settings in detector_settings(detectors, parameters).items():
-        width = working_width(detector, request.max_width, decoded)
-        cases.append(Case(name, detector, sequence, truth, source, None, settings, width))
+        decoded = _decoded(source, info)
+    known = info or decoded
+    reading = _reading(request, name, known, alone=not files)
+    last = 0
+    if truth is not None:
+        last = _annotated(truth, reading[0], known)
+    size = known or SequenceInfo(0, 0, 0.0)
+    case = Case(name, "", size, truth, source, reading=reading, labelled=request.labelled)
+    cases = list[Case]()
+    for label, file in files:
+        info = _info(word, file, known, last, reading[1])
+        cases.append(replace(case, detections=label, info=info, file=file))
+    if decoded is not None:
+        case = replace(case, info=replace(decoded, frames=0, name=name))
+        for detector, settings in detector_settings(detectors, parameters).items():
+            cases.append(_detected(case, detector, settings, request))
     return cases
+
+
+def _decoded(source: str, info: SequenceInfo | None) -> SequenceInfo:
+    """Size and rate of a video; of images the rate in ``info``, as they do not know theirs."""
+    video = open_source(source)
+    if video.times is None and info is not None:
+        return replace(video.info, fps=info.fps)
+    return video.info
+
+
+def _detected(case: Case, detector: str, settings: Mapping[str, Any], request: Request) -> Case:
+    """The case with a detector that has these settings."""
+    width = working_width(detector, request.max_width, case.info)
+    return replace(case, detections=detector, parameters=settings, max_width=width)
+
+
+def _reading(
+    request: Request, name: str, known: SequenceInfo | None, *, alone: bool
+) -> tuple[Conventions, Conventions]:
+    """How the truth and the detections of a sequence are to be read. A word that stands alone is
+    that of the detections, or if the truth is the only file (``alone``), of that.
+    """
+    size = (known.width, known.height) if known else (0, 0)
+    # Of a file with several videos, the one of the sequence's name is read.
+    reading = replace(request.reading, sequence=request.reading.sequence or name)
+    truth, detections = reading.pair(truth=alone, file=not alone)
+    return truth.conventions(size), detections.conventions(size)
+
+
+def _annotated(path: Path, reading: Conventions, known: SequenceInfo | None) -> int:
+    """The last frame of a truth. Raises `InputError` if it cannot be read, or is not in pixels."""
+    # What is guessed is reported by the runs.
+    truth = read_truth(path, conventions=reading, notices=[])
+    if known is not None:
+        size = (known.width, known.height)
+        sure = np.ones(len(truth))
+        check_units(truth.xyxy, sure, size, path, units=reading.units, box=reading.box)
+    return int(truth.frame.max(initial=0))
 
 
 def _pictures(folder: Path) -> str:
@@ -134,11 +171,12 @@ def is_file(name: str) -> bool:
     return "=" in name or "/" in name or "{}" in name or bool(Path(name).suffix)
 
 
-def _info(word: str, name: str, file: Path, known: SequenceInfo | None, last: int) -> SequenceInfo:
+def _info(
+    word: str, file: Path, known: SequenceInfo | None, last: int, reading: Conventions
+) -> SequenceInfo:
     """Size, rate and length, up to the last frame that is known, detected or annotated."""
     # What is guessed is reported by the runs.
-    conventions = Conventions(sequence=name)
-    table = read_detections(file, conventions=conventions, notices=[])
+    table = read_detections(file, conventions=reading, notices=[])
     if known is None:
         raise InputError(
             "size and rate of the frames are unknown",
@@ -151,7 +189,7 @@ def _info(word: str, name: str, file: Path, known: SequenceInfo | None, last: in
         raise InputError(
             "the number of frames is unknown", where=word, cure="Set seqLength in seqinfo.ini."
         )
-    within_frame(table, info, file)
+    within_frame(table, info, file, units=reading.units, box=reading.box)
     return info
 
 

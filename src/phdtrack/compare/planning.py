@@ -10,6 +10,7 @@ from phdtrack.compare.case_files import cases_of, detector_settings, is_file
 from phdtrack.compare.plans import Method, Plan, Request, Run
 from phdtrack.config.registry import SECTIONS
 from phdtrack.errors import InputError, did_you_mean
+from phdtrack.run.scored_files import check_listed
 
 # Sections whose settings belong to one kind of filter; other settings apply to all.
 _FILTER_SECTIONS = ("filter", "extract", "associate")
@@ -33,6 +34,7 @@ def plan(request: Request) -> Plan:
                     where=option,
                     cure="Use {} for the name of the sequence in the names of files.",
                 )
+    check_listed(request.labelled)
     methods = _methods(request)
     detector_texts = [text for text in request.sets if _section(text) == "detector"]
     parameters = request.load(detector_texts).values("detector")

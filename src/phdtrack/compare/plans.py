@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 from phdtrack import config
 from phdtrack.config import Settings
+from phdtrack.conventions import Conventions
 from phdtrack.errors import InputError
 from phdtrack.metrics.matching import check_threshold
+from phdtrack.run.requests import ReadingRequest
 from phdtrack.types import SequenceInfo
 
 
@@ -29,6 +31,8 @@ class Case:
     file : the detections; None if the detector called ``detections`` finds them.
     parameters, max_width : the detector's settings, and the width to which frames are shrunk for it
         (0: not shrunk).
+    reading : how the truth, and the file of detections, are to be read.
+    labelled : frames that are scored, as `run.scored_files.ScoringRequest.labelled`.
     """
 
     sequence: str
@@ -39,6 +43,8 @@ class Case:
     file: Path | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
     max_width: int = 0
+    reading: tuple[Conventions, Conventions] = (Conventions(), Conventions())
+    labelled: str = ""
 
     @property
     def name(self) -> str:
@@ -157,6 +163,8 @@ class Request:
         width (0: not shrunk, None: `working_width`). Without detections and detectors the sets of
         each folder are used.
     truth : a file, with ``{}`` as in ``detections``; empty: that of the folder.
+    reading : how truth and files of detections are to be read.
+    labelled : frames that are scored, as `run.scored_files.ScoringRequest.labelled`.
     clutter : rates of added clutter, boxes per frame.
     seeds : number of seeds, from 1.
     variants : ``NAME=section.name=value,…``: further methods with changed settings of the first
@@ -172,6 +180,8 @@ class Request:
     detectors: Sequence[str] = ()
     max_width: int | None = None
     truth: str = ""
+    reading: ReadingRequest = field(default_factory=ReadingRequest)
+    labelled: str = ""
     clutter: Sequence[float] = (0.0,)
     seeds: int = 5
     variants: Sequence[str] = ()

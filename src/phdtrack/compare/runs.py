@@ -37,14 +37,15 @@ from phdtrack.detect.table_detector import frames_walked
 from phdtrack.errors import InputError
 from phdtrack.files import json_value, write_text
 from phdtrack.formats import (
-    Conventions,
     DetectionsWriter,
     read_detections,
     read_truth,
     write_tracks,
 )
 from phdtrack.metrics import Scores, explain
+from phdtrack.metrics.agreement import other_reading
 from phdtrack.metrics.counts import Counts, count
+from phdtrack.metrics.labelled import detections_in_frames, in_frames
 from phdtrack.metrics.matching import pair_frames
 from phdtrack.metrics.scores import scores_of
 from phdtrack.parallel import Failed, outcomes
@@ -56,9 +57,10 @@ from phdtrack.run.environment import HOME, detecting_packages, files_digest, sou
 from phdtrack.run.inputs import detected_frames, open_inputs
 from phdtrack.run.loop import DetectedFrame, TrackedFrame, table_frames, track_frames
 from phdtrack.run.requests import SourceRequest
+from phdtrack.run.scored_files import labelled_frames
 from phdtrack.simulate import add_clutter
 from phdtrack.tracker import Tracker
-from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
+from phdtrack.types import I8, Detections, DetectionTable, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
 from phdtrack.video.image_folder import SUFFIXES
 
@@ -317,6 +319,8 @@ def _tracking(run: Run, iou: float, folder: Path) -> _Piece:
         "sequence": asdict(case.info) | {"name": case.sequence},
         "detections": _decides_detections(case),
         "truth": "" if case.truth is None else _contents(case.truth),
+        "reading": [asdict(one) for one in case.reading],
+        "labelled": case.labelled,
         "clutter": run.rate,
         "seed": run.seed,
         "iou": iou,
@@ -331,16 +335,10 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
     inputs = run_input(run, kept)
     sequence = tracked(run, inputs)
     tracks = sequence.tracks
-    counts = None
-    errors = dict[str, int]()
     frames = inputs.info.frames
-    if inputs.truth is not None:
-        if not frames:
-            raise InputError(
-                "no frame was read, and there is nothing to score", where=run.case.name
-            )
-        counts = count(pair_frames(inputs.truth, tracks, frames), iou)
-        errors = explain(inputs.truth, tracks, inputs.table, frames=frames, iou=iou).sums()
+    if inputs.truth is not None and not frames:
+        raise InputError("no frame was read, and there is nothing to score", where=run.case.name)
+    counts, errors, doubts = _scored(inputs, tracks, iou)
     result = ComparedRun(
         frames,
         len(inputs.table),
@@ -353,7 +351,7 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
         inputs.warning,
         errors,
         sequence.log_evidence,
-        sequence.warnings,
+        (*sequence.warnings, *doubts),
     )
     scores = result.scores.as_dict() if result.scores else {}
     write_tracks(folder / TRACKS, tracks)
@@ -365,6 +363,24 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
     }
 
 
+def _scored(
+    inputs: RunInput, tracks: Tracks, iou: float
+) -> tuple[Counts | None, dict[str, int], tuple[str, ...]]:
+    """The sums behind the scores, the numbers of errors by cause, and doubts about the truth."""
+    truth = inputs.truth
+    if truth is None:
+        return None, {}, ()
+    doubts = tuple(filter(None, [other_reading(truth, tracks)]))
+    table = inputs.table
+    frames = inputs.info.frames
+    if len(inputs.labelled):
+        truth, tracks = in_frames(truth, tracks, inputs.labelled)
+        table = detections_in_frames(table, inputs.labelled)
+        frames = len(inputs.labelled)
+    counts = count(pair_frames(truth, tracks, frames), iou)
+    return counts, explain(truth, tracks, table, frames=frames, iou=iou).sums(), doubts
+
+
 class RunInput(NamedTuple):
     """The inputs of a run.
 
@@ -374,6 +390,7 @@ class RunInput(NamedTuple):
     table : the same detections as a table.
     names : what classes are called; None without classes.
     truth : None if nothing is annotated.
+    labelled : the frames that are scored, the same for every method; empty for all.
     warning : what a user should know; may be empty.
     """
 
@@ -382,6 +399,7 @@ class RunInput(NamedTuple):
     table: DetectionTable
     names: Mapping[int, str] | None
     truth: Truth | None
+    labelled: I8
     warning: str
 
 
@@ -393,7 +411,7 @@ def run_input(run: Run, kept: Path) -> RunInput:
     """
     case = run.case
     info = case.info
-    conventions = Conventions(sequence=case.sequence)
+    of_truth, of_detections = case.reading
     names: Mapping[int, str] | None
     if case.file is None:
         folder = kept / "detections" / case.place
@@ -406,19 +424,24 @@ def run_input(run: Run, kept: Path) -> RunInput:
         table = _table(frames)
     else:
         notices = list[str]()
-        found = read_detections(case.file, conventions=conventions, notices=notices)
-        table, sentences = within_frame(found, info, case.file)
+        found = read_detections(case.file, conventions=of_detections, notices=notices)
+        units = {"units": of_detections.units, "box": of_detections.box}
+        table, sentences = within_frame(found, info, case.file, **units)
         warnings = (*notices, *sentences)
         names = table.names
         numbers = frames_walked(table, info.frames, info.fps)
         frames = list(table_frames(table, numbers, _clock(case.source, info.fps)))
     told = list[str]()
-    truth = read_truth(case.truth, conventions=conventions, notices=told) if case.truth else None
+    truth = None
+    labelled: I8 = np.zeros(0, np.int64)
+    if case.truth is not None:
+        truth = read_truth(case.truth, conventions=of_truth, notices=told)
+        labelled = labelled_frames(case.labelled, truth, None, case.truth, told)
     warnings = (*warnings, *told)
     if run.rate:
         table = _with_clutter(run, info, table, truth)
         frames = [one._replace(detections=table.at(one.frame.number)) for one in frames]
-    return RunInput(info, frames, table, names, truth, "; ".join(filter(None, warnings)))
+    return RunInput(info, frames, table, names, truth, labelled, "; ".join(filter(None, warnings)))
 
 
 @lru_cache(maxsize=1)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from phdtrack.types import I8, Bool, Tracks, Truth
+from phdtrack.types import I8, Bool, DetectionTable, Tracks, Truth
 
 # Labelled frames at equal distances are a rule from so many on.
 _FEWEST = 5
@@ -15,29 +15,25 @@ _FEWEST = 5
 _SPARSE = 0.5
 
 
-def regularly_labelled(truth: Truth, tracks: Tracks) -> I8:
+def regularly_labelled(truth: Truth, tracks: Tracks | None) -> I8:
     """The frames with objects, if they follow each other at equal distances above 1, and tracks
     have rows between them: the frames between were not labelled. Otherwise empty.
 
     Parameters
     ----------
-    truth, tracks : annotated objects, and the tracks to score.
+    truth, tracks : annotated objects, and the tracks to score; None: whatever tracks there are.
     """
     frames: I8 = np.unique(truth.frame)
-    if regular_step(truth) > 1 and len(_between(frames, tracks)):
+    if _regular_step(frames) > 1 and (tracks is None or len(_between(frames, tracks))):
         return frames
     return frames[:0]
 
 
-def regular_step(truth: Truth) -> int:
-    """The distance between any two frames with objects that follow each other; 0 if they differ, or
-    there are few.
-
-    Parameters
-    ----------
-    truth : annotated objects.
+def _regular_step(frames: I8) -> int:
+    """The distance between any two of the frames that follow each other; 0 if they differ, or there
+    are few.
     """
-    steps = np.diff(np.unique(truth.frame))
+    steps = np.diff(frames)
     if len(steps) >= _FEWEST - 1 and (steps == steps[0]).all():
         return int(steps[0])
     return 0
@@ -97,6 +93,19 @@ def in_frames(truth: Truth, tracks: Tracks, frames: I8) -> tuple[Truth, Tracks]:
     rows: Bool = np.isin(tracks.frame, frames)
     found = tracks.select(rows)
     return part, replace(found, frame=_ranks(found.frame, frames))
+
+
+def detections_in_frames(table: DetectionTable, frames: I8) -> DetectionTable:
+    """The detections in these frames alone, which are numbered from 1 in their order.
+
+    Parameters
+    ----------
+    table : detections.
+    frames : numbers of frames, ascending.
+    """
+    kept = np.isin(table.frame, frames)
+    number = _ranks(table.frame[kept], frames)
+    return replace(table, frame=number, detections=table.detections.select(kept))
 
 
 def _ranks(numbers: I8, frames: I8) -> I8:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.addresses import shown
+from phdtrack.conventions import Conventions
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.base import Detector, class_names, prepared
 from phdtrack.detect.convert import within_frame
@@ -32,7 +33,14 @@ from phdtrack.run.camera_motion import Mover
 from phdtrack.run.loop import NO_PICTURE, DetectedFrame, detect_frames
 from phdtrack.run.pipeline_threads import ahead
 from phdtrack.run.reporter import SILENT, Reporter
-from phdtrack.run.requests import WHOLE, FrameRange, SourceRequest, frame_size, refuse
+from phdtrack.run.requests import (
+    WHOLE,
+    FrameRange,
+    ReadingRequest,
+    SourceRequest,
+    frame_size,
+    refuse,
+)
 from phdtrack.run.standard_input import open_standard_input
 from phdtrack.types import DetectionTable, SequenceInfo
 from phdtrack.video import VideoSource, open_source
@@ -296,20 +304,31 @@ def read_request_detections(
     notices : receives sentences about guesses.
     """
     assert request.detections is not None
-    reading = request.reading
+    return read_detections(
+        request.detections,
+        left_out=left_out,
+        conventions=request_conventions(request, request.reading),
+        notices=notices,
+    )
+
+
+def request_conventions(request: SourceRequest, reading: ReadingRequest) -> Conventions:
+    """How a file of boxes of a source is to be read. Raises `InputError` for unknown words, and for
+    a source that is needed and cannot be opened.
+
+    Parameters
+    ----------
+    request : the source, whose size is that of boxes in shares, and whose name is that of the video
+        to read of a file with several.
+    reading : the words of the user for this file.
+    """
     size = frame_size(request.frame_size) if request.frame_size else (0, 0)
     if request.source and reading.units == "shares":
         info = _frames(request, WHOLE).info
         size = (info.width, info.height)
     if request.source and not reading.sequence:
-        # Of a file with several videos, the one of this name is read.
         reading = replace(reading, sequence=Path(request.source).stem)
-    return read_detections(
-        request.detections,
-        left_out=left_out,
-        conventions=reading.conventions(size),
-        notices=notices,
-    )
+    return reading.conventions(size)
 
 
 def _frames(request: SourceRequest, part: FrameRange) -> VideoSource:

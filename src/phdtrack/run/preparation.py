@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +18,7 @@ from phdtrack.detect.base import guesses
 from phdtrack.detect.convert import check_units
 from phdtrack.errors import InputError
 from phdtrack.files import json_value
-from phdtrack.formats import Conventions, read_truth
+from phdtrack.formats import read_truth
 from phdtrack.multiclass import ClassSettings
 from phdtrack.report import About
 from phdtrack.run import directory as rundir
@@ -27,10 +27,10 @@ from phdtrack.run.choices import chosen_settings, scene_settings
 from phdtrack.run.detection_log import source_of
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.environment import HOME, detecting_packages, sources_digest, versions
-from phdtrack.run.inputs import Inputs, open_inputs
+from phdtrack.run.inputs import Inputs, open_inputs, request_conventions
 from phdtrack.run.observers import CameraObserver, RunObserver
 from phdtrack.run.reporter import SILENT, Reporter
-from phdtrack.run.requests import RunRequest, SourceRequest, frame_range
+from phdtrack.run.requests import ReadingRequest, RunRequest, SourceRequest, frame_range, refuse
 from phdtrack.run.running import RunOptions
 from phdtrack.run.video import RunResult, run
 from phdtrack.types import Truth
@@ -108,15 +108,16 @@ def prepare(
     truth = None
     last = 0
     notices = list[str]()
+    of_truth, reading = _readings(request)
     if request.tracking.truth is not None:
-        truth = read_truth(
-            request.tracking.truth, conventions=_truth_conventions(request), notices=notices
-        )
+        conventions = request_conventions(request.source, of_truth)
+        truth = read_truth(request.tracking.truth, conventions=conventions, notices=notices)
         last = int(truth.frame.max(initial=0))
     parameters = settings.values("detector")
-    inputs = open_inputs(request.source, parameters, last, frame_range(request.frames))
+    source = replace(request.source, reading=reading)
+    inputs = open_inputs(source, parameters, last, frame_range(request.frames))
     if truth is not None:
-        notices += _truth_doubts(truth, inputs, request.tracking.truth)
+        _check_truth(truth, inputs, request.tracking.truth, of_truth)
     inputs = replace(
         inputs,
         files=_read_files(request, settings),
@@ -132,6 +133,7 @@ def prepare(
         configuration=settings.as_dict(),
         read={"source": shown(absolute(request.source.source)), **read},
         truth=_truth_of_part(truth, request, inputs),
+        labelled=request.tracking.labelled,
         video=request.video,
         video_size=request.video_size,
         blur=request.output.blur,
@@ -152,6 +154,13 @@ def _check(request: RunRequest) -> None:
         problem = "--resume continues a run, and --overwrite begins anew"
         raise InputError(problem, where="--resume", cure="Give one of them.")
     rundir.check(output.out, output.overwrite or output.resume)
+    if request.tracking.truth is None:
+        refuse({"--labelled": request.tracking.labelled}, "nothing is scored", "say --truth")
+    elif request.tracking.labelled:
+        # Loaded only if there is truth.
+        from phdtrack.run.scored_files import check_listed
+
+        check_listed(request.tracking.labelled)
     source = request.source.source
     if source and rundir.is_run(Path(source)):
         problem = "expected a video, got the directory of a run"
@@ -174,27 +183,24 @@ def _read_files(request: RunRequest, settings: Settings) -> tuple[object, ...]:
     )
 
 
-def _truth_conventions(request: RunRequest) -> Conventions:
-    """The video to read of truth with several: that of the source's name."""
-    source = request.source
-    return Conventions(sequence=source.reading.sequence or Path(source.source).stem)
-
-
-def _truth_doubts(truth: Truth, inputs: Inputs, path: Path | None) -> Iterator[str]:
-    """Yield sentences about a truth that does not fit. Raises `InputError` if its boxes cannot be
-    in pixels of the frames.
+def _readings(request: RunRequest) -> tuple[ReadingRequest, ReadingRequest]:
+    """How the truth is to be read, and the file of detections. A word that stands alone is that of
+    the detections, or without a file of them that of the truth.
     """
+    source = request.source
+    if request.tracking.truth is None:
+        return ReadingRequest(), source.reading
+    if source.detections is None or source.detections == Path("-"):
+        return source.reading.pair(file=False)[0], ReadingRequest()
+    return source.reading.pair(truth=False)
+
+
+def _check_truth(truth: Truth, inputs: Inputs, path: Path | None, reading: ReadingRequest) -> None:
+    """Raise `InputError` if the boxes of the truth cannot be in pixels of the frames."""
     size = (inputs.info.width, inputs.info.height)
     if path is not None and min(size) > 0:
-        check_units(truth.xyxy, np.ones(len(truth)), size, path)
-    # Loaded only if there is truth.
-    from phdtrack.metrics.labelled import regular_step
-
-    step = regular_step(truth)
-    if step > 1:
-        yield (
-            f"{path}: objects are annotated in every {step}th frame alone, and rows of tracks in"
-            " the others count as false; phdtrack evaluate scores the annotated frames alone"
+        check_units(
+            truth.xyxy, np.ones(len(truth)), size, path, units=reading.units, box=reading.box
         )
 
 
@@ -248,8 +254,10 @@ def _detected_by(
     if source.detections is not None or not (inputs.again and Path(source.source).exists()):
         return {}
     mask = str(read["mask"])
+    # Without a file of detections they are the truth's.
+    deciding = {name: value for name, value in read.items() if name != "reading"}
     return {
-        **read,
+        **deciding,
         "mask": source_of(mask) if mask else [],
         "file": source_of(str(Path(source.source).resolve())),
         "parameters": parameters,

@@ -18,6 +18,7 @@ from phdtrack.run import directory as rundir
 from phdtrack.run.confirmation import confirmation
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.running import Progress, Run
+from phdtrack.run.scoring import RunScores
 from phdtrack.types import Tracks
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def write_report(
     run: Run,
     progress: Progress,
     tracks: Tracks,
-    scores: Scores | None,
+    scored: RunScores,
     seconds: tuple[float, float],
 ) -> tuple[dict[str, object], tuple[str, ...], tuple[str, ...]]:
     """Write report.html and run.json.
@@ -56,7 +57,7 @@ def write_report(
     Parameters
     ----------
     run, progress : what was run, and how far it got.
-    tracks, scores : corrected tracks and their scores.
+    tracks, scored : corrected tracks and their scores.
     seconds : of everything so far, and of what followed the loop.
 
     Returns
@@ -64,6 +65,7 @@ def write_report(
     The content of run.json; a summary and warnings in sentences.
     """
     options = run.options
+    scores = scored.scores
     record = replace(progress.recorder.record(tracks, options.about), names=run.names)
     confirmed = _confirmation(run, progress)
     background = run.inputs.described in BACKGROUND
@@ -77,7 +79,7 @@ def write_report(
         finishing_seconds=seconds[1],
         left_out=progress.skipped,
         scores=_score_values(scores),
-        warnings=(*_problems(run, progress), *_doubts(run, tracks), *wrong, *confirmed[1:]),
+        warnings=(*_problems(run, progress), *scored.doubts, *wrong, *confirmed[1:]),
         notes=(*confirmed[:1], *_notes(run, progress)),
     )
     reports = [observer.report() for observer in run.observers]
@@ -154,18 +156,6 @@ def _notes(run: Run, progress: Progress) -> Iterator[str]:
         yield _LATEST
     if progress.shakes:
         yield _SHAKES
-
-
-def _doubts(run: Run, tracks: Tracks) -> Iterator[str]:
-    """Sentences about a truth that would fit the tracks better if it were read otherwise."""
-    truth = run.options.truth
-    if truth is None or not len(tracks):
-        return
-    # Loaded only if there is truth.
-    from phdtrack.metrics.agreement import other_reading
-
-    if sentence := other_reading(truth, tracks):
-        yield f"{sentence} (options of phdtrack evaluate)"
 
 
 def _problems(run: Run, progress: Progress) -> Iterator[str]:

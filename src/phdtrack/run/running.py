@@ -38,6 +38,7 @@ class RunOptions:
     configuration, read : settings, and what was read and how, for run.json; a run is resumed only
         if they are the same.
     truth : annotated objects to score against.
+    labelled : frames that are scored, as `scored_files.ScoringRequest.labelled`.
     video, video_size : whether to draw annotated.mp4, and its longer side in pixels; 0: that of the
         source.
     blur : ``boxes`` or ``faces`` to pixelate them in all pictures.
@@ -54,6 +55,7 @@ class RunOptions:
     configuration: Mapping[str, object] = field(default_factory=dict)
     read: Mapping[str, object] = field(default_factory=dict)
     truth: Truth | None = None
+    labelled: str = ""
     video: bool = True
     video_size: int = 0
     blur: str = ""

@@ -274,7 +274,7 @@ def _labelled(request: ScoringRequest, truth: Truth, tracks: Tracks, notices: li
 
 
 def labelled_frames(
-    listed: str, truth: Truth, tracks: Tracks, path: AnyPath, notices: list[str]
+    listed: str, truth: Truth, tracks: Tracks | None, path: AnyPath, notices: list[str]
 ) -> I8:
     """The numbers of the frames that are scored, ascending; empty for all. Raises `InputError` for
     a list that is none.
@@ -282,7 +282,7 @@ def labelled_frames(
     Parameters
     ----------
     listed : as `ScoringRequest.labelled`.
-    truth, tracks : annotated objects, and the tracks to score.
+    truth, tracks : annotated objects, and the tracks to score; None: the truth alone decides.
     path : of the truth, for sentences.
     notices : receives what was decided by evidence, or is in doubt.
     """
@@ -298,9 +298,20 @@ def labelled_frames(
             f"{path}: objects are annotated in every {found[1] - found[0]}th frame alone, and only"
             f" these {len(found)} frames are scored: --labelled all scores all"
         )
-    elif sentence := keyframe_doubt(truth, tracks):
+    elif tracks is not None and (sentence := keyframe_doubt(truth, tracks)):
         notices.append(sentence)
     return found
+
+
+def check_listed(listed: str) -> None:
+    """Raise `InputError` for a list of frames that is none, before there are tracks.
+
+    Parameters
+    ----------
+    listed : as `ScoringRequest.labelled`.
+    """
+    if listed not in ("", ALL, _OF_TRUTH):
+        frame_numbers(listed)
 
 
 def frame_numbers(text: str) -> I8:

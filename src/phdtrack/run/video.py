@@ -32,6 +32,7 @@ from phdtrack.run.reporter import SILENT, Advance, Reporter
 from phdtrack.run.run_files import RunFiles
 from phdtrack.run.run_report import write_report
 from phdtrack.run.running import FrameSummary, Progress, Run, RunOptions, Stop
+from phdtrack.run.scoring import score_run
 from phdtrack.tracker import Tracker, uninterrupted
 from phdtrack.types import Tracks
 
@@ -126,16 +127,17 @@ def _run(run: Run, advance: Advance) -> RunResult:
     for observer in run.observers:
         with progress.writing():
             observer.finish(run.directory, final)
-    scores = _scores(run, progress, tracks)
+    scored = score_run(run, progress, tracks)
     if run.options.video:
         draw_videos(run, progress, tracks, advance)
     finishing = time.perf_counter() - tracked
     return_memory()
     advance(progress.frames, total=progress.frames, description="report")
     seconds = (time.perf_counter() - began, finishing)
-    document, summary, warnings = write_report(run, progress, tracks, scores, seconds)
+    document, summary, warnings = write_report(run, progress, tracks, scored, seconds)
     reported = progress.tracker.warnings
-    return RunResult(tracks, document, summary, warnings, scores, progress.ended, reported)
+    ended = progress.ended
+    return RunResult(tracks, document, summary, warnings, scored.scores, ended, reported)
 
 
 def _track(run: Run, advance: Advance) -> Progress:
@@ -267,14 +269,3 @@ def _smoothed(run: Run, progress: Progress) -> Tracks:
         progress.stop = progress.stop or stop
         run.reporter.stopping(_STOPPED.format(progress.last))
     return tracks
-
-
-def _scores(run: Run, progress: Progress, tracks: Tracks) -> Scores | None:
-    """The scores of the frames that were tracked; None without truth."""
-    truth = run.options.truth
-    if truth is None or not progress.summaries:
-        return None
-    # Loaded only if there is truth.
-    from phdtrack.metrics import evaluate
-
-    return evaluate(truth, tracks, frames=progress.last, first=run.inputs.source.first)
