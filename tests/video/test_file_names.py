@@ -122,6 +122,26 @@ def test_animated_webp_is_named(tmp_path: Path) -> None:
         open_source(path)
 
 
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("b.webp",), "b.webp is animated: of such files only the first picture is read"),
+        (("b.webp", "d.webp", "e.webp"), "b.webp and 2 more are animated"),
+    ],
+)
+def test_animated_webp_among_images_is_told(
+    tmp_path: Path, names: tuple[str, ...], words: str
+) -> None:
+    still = cv2.imencode(".webp", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+    head = b"WEBPVP8X" + struct.pack("<I", 10) + bytes([2]) + bytes(9)
+    for name in ("a.webp", "c.webp", "f.webp"):
+        (tmp_path / name).write_bytes(still)
+    assert "animated" not in open_source(tmp_path).note
+    for name in names:
+        (tmp_path / name).write_bytes(b"RIFF" + struct.pack("<I", len(head)) + head)
+    assert words in open_source(tmp_path).note
+
+
 def test_any_names_have_increasing_numbers() -> None:
     rng = random.Random(5)
     for _ in range(2000):

@@ -150,6 +150,8 @@ def _count_known(
     if 0 < known.info.frames < last:
         end = known.info.frames
         notices.append(f"{path}: rows up to frame {last}, and the sequence has {end} frames")
+    if pictures is not None and pictures.note:
+        notices.append(pictures.note)
     output.warn(notices)
     directory = _counts_directory(path, source, to)
     observer = CountObserver(

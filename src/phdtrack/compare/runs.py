@@ -302,7 +302,7 @@ def _detect(case: Case, folder: Path) -> dict[str, object]:
             frames += 1
     return {
         "seconds_per_frame": (time.perf_counter() - began) / max(frames, 1),
-        "warning": inputs.source.problem,
+        "warning": "; ".join(filter(None, [inputs.source.note, inputs.source.problem])),
         "names": inputs.names,
     }
 

@@ -92,7 +92,7 @@ def open_sequence(
         problem = "frames of a camera cannot be read again"
         raise InputError(problem, where=source.source, cure="Record a video and label that")
     inputs = open_inputs(source, parameters)
-    reporter.warn(inputs.warnings)
+    reporter.warn([*inputs.warnings, *filter(None, [inputs.source.note])])
     if labels.parent == _RUNS:
         _RUNS.mkdir(exist_ok=True)
     wrong = None

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.addresses import filled, named
+from phdtrack.addresses import filled, named, shown
 from phdtrack.clock import Clock, settled
 from phdtrack.errors import InputError, needed
 from phdtrack.files import ffmpeg_name, readable_name
@@ -69,6 +69,7 @@ def file_source(path: str, fps: float, first: int) -> VideoSource:
         announced = stream.frames
         shuffled = container.format.name == "avi" and stream.codec_context.has_b_frames
         pixel_aspect = float(stream.sample_aspect_ratio or 1)
+        choice = _choice(path, container)
         if picture is not None and not fps:
             with suppress(*_damage()):
                 measured = _measured_rate(container, stream)
@@ -87,7 +88,8 @@ def file_source(path: str, fps: float, first: int) -> VideoSource:
         )
     if not measured:
         stated = stated or guessed
-    rate, note = _rate(path, fps, stated, measured, indexed=bool(announced))
+    rate, doubt = _rate(path, fps, stated, measured, indexed=bool(announced))
+    note = ". ".join(filter(None, (choice, doubt)))
     decoded = Decoded(picture)
     if decoded.size != (picture.width, picture.height):
         pixel_aspect = 1 / pixel_aspect
@@ -382,15 +384,31 @@ def _pictures(
         losses.append((number, "it continues with other streams"))
 
 
-def video_stream(container: Any) -> Any | None:
-    """The first video stream of a container that is no cover, thumbnail or other single picture
-    beside a video; None if there is none.
+def _video_streams(container: Any) -> list[Any]:
+    """The video streams of a container that are no cover, thumbnail or other single picture beside
+    a video. The first of them is read.
     """
     streams = [
         stream for stream in container.streams.video if not stream.disposition.value & _PICTURES
     ]
     moving = [stream for stream in streams if stream.frames != 1]
-    return next(iter(moving or streams), None)
+    return moving or streams
+
+
+def video_stream(container: Any) -> Any | None:
+    """The video stream of a container that is read; None if there is none."""
+    return next(iter(_video_streams(container)), None)
+
+
+def _choice(path: str, container: Any) -> str:
+    """A sentence if a file has several videos; else empty."""
+    streams = _video_streams(container)
+    if len(streams) < 2:
+        return ""
+    sizes = ", ".join(f"{stream.width}x{stream.height}" for stream in streams)
+    return (
+        f"{shown(path)} has {len(streams)} video streams ({sizes}), and the first of them is read"
+    )
 
 
 def _name(path: str) -> str:
@@ -407,7 +425,7 @@ def _reason(error: Exception) -> str:
 
 @contextmanager
 def _open(path: str) -> Iterator[tuple[Any, Any]]:
-    """The container and its first video stream. Raises `InputError` if there is none."""
+    """The container and its `video_stream`. Raises `InputError` if there is none."""
     av = needed("av")
     remote = "://" in path
     try:

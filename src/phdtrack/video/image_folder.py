@@ -51,9 +51,7 @@ def image_source(files: Sequence[Path], fps: float, folder: Path) -> VideoSource
         names = replace(names, times=[], note=names.note * (not names.times))
     rate, unknown = known_rate(fps or names.rate, "images do")
     times = names.times or [(number - 1) / rate for number in numbers]
-    animated = ""
-    if is_animated_webp(head_of(paths[0])):
-        animated = f"{paths[0].name} is animated: of such files only the first picture is read"
+    animated = _animated(paths)
     note = "; ".join(filter(None, (names.note, animated, unknown)))
     height, width = _image(paths[0]).shape[:2]
 
@@ -68,6 +66,17 @@ def image_source(files: Sequence[Path], fps: float, folder: Path) -> VideoSource
 
     info = SequenceInfo(width, height, rate, len(paths), name)
     return VideoSource(info, read, note, sample=sample, zero=0.0)
+
+
+def _animated(paths: Sequence[Path]) -> str:
+    """A sentence if some of the images are animated; else empty."""
+    webp = (path for path in paths if path.suffix.lower() == ".webp")
+    found = [path for path in webp if is_animated_webp(head_of(path))]
+    if not found:
+        return ""
+    which = found[0].name if len(found) == 1 else f"{found[0].name} and {len(found) - 1} more"
+    verb = "is" if len(found) == 1 else "are"
+    return f"{which} {verb} animated: of such files only the first picture is read"
 
 
 def is_animated_webp(head: bytes) -> bool:
