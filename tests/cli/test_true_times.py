@@ -303,3 +303,23 @@ def test_segments_are_cut_by_time(tmp_path: Path, name: str) -> None:
         assert common == pytest.approx(2.0, abs=0.5)
     found = counted(run, "--zone", ZONE, "--out", tmp_path / "counts")
     np.testing.assert_allclose([time for _, time in found], [5.0, 10.5], atol=0.21)
+
+
+def test_a_run_without_its_video_keeps_its_times(tmp_path: Path) -> None:
+    video = scene(tmp_path / "made", "clip.mp4", VARIABLE)
+    run = tmp_path / "run"
+    words = ("--detections", video.with_name("det.txt"), "--out", run, "--no-video")
+    assert phdtrack("track", video, *words).status == 0
+    asked = ("--zone", ZONE, "--out", tmp_path / "counts", "--overwrite")
+    here = counted(run, *asked)
+    video.unlink()
+    for tracks in (run, run / "tracks.csv"):
+        assert counted(tracks, *asked) == here
+        assert "unknown" not in phdtrack("count", tracks, *asked).err
+    (run / "states.csv").unlink()
+    for tracks in (run, run / "tracks.csv"):
+        said = phdtrack("count", tracks, *asked)
+        assert "states.csv and the video" in said.err
+        assert "frames/s assumed" in said.err
+    # What the user states is no assumption.
+    assert "assumed" not in phdtrack("count", run, *asked, "--fps", 10).err

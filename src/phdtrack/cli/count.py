@@ -152,11 +152,12 @@ def _count_known(
         notices.append(f"{path}: rows up to frame {last}, and the sequence has {end} frames")
     if pictures is not None and pictures.note:
         notices.append(pictures.note)
+    clock = _clock(path, known, info.fps, pictures, source, notices)
     output.warn(notices)
     directory = _counts_directory(path, source, to)
     observer = CountObserver(
         *(replace(watch, names=known.names), info, pictures, to.blur, known.first),
-        clock=_clock(path, info, pictures, source),
+        clock=clock or Clock.constant(info.fps),
     )
     if to.blur and rundir.is_run(path):
         _hide_detections(observer, path / rundir.DETECTIONS)
@@ -238,14 +239,34 @@ def _hide_detections(observer: CountObserver, file: Path) -> None:
 
 
 def _clock(
-    path: Path, info: SequenceInfo, video: VideoSource | None, source: SourceRequest
-) -> Clock:
-    """The times of the frames: those of the run, or of the video."""
-    if not source.fps and rundir.is_run(path):
-        return rundir.run_clock(path, info.fps, None if video is None else video.clock())
-    if video is not None:
-        return video.clock()
-    return Clock.constant(info.fps)
+    path: Path,
+    known: RunTracks,
+    fps: float,
+    video: VideoSource | None,
+    source: SourceRequest,
+    notices: list[str],
+) -> Clock | None:
+    """The times of the frames: those of the run, also for a file in its directory, or of the video;
+    None for a constant rate.
+
+    Parameters
+    ----------
+    path, known : the run or the file of tracks, and what is known of it.
+    fps : frames per second where nothing tells the times.
+    video, source : the video, and what was asked for.
+    notices : receives a sentence if the times are not known.
+    """
+    of_video = None if video is None else video.clock()
+    folder = path if path.is_dir() else path.parent
+    of_run = rundir.is_run(path) or (folder / rundir.RUN).is_file()
+    if source.fps or source.source or not of_run:
+        return of_video
+    if of_video is None and known.source and not (folder / rundir.STATES).exists():
+        notices.append(
+            f"{path}: the times of its frames are unknown, as {rundir.STATES} and the video"
+            f" ({shown(known.source)}) are gone; {fps:g} frames/s assumed"
+        )
+    return rundir.run_clock(folder, fps, of_video)
 
 
 def _sequence(
