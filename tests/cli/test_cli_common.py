@@ -5,6 +5,7 @@ statuses.
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from typer.testing import CliRunner
 from phdtrack import __version__
 from phdtrack.cli.app import COMMANDS, application, guarded
 from phdtrack.cli.output import Output
+from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
 from phdtrack.run.choices import chosen_settings
 from phdtrack.run.requests import TrackingRequest
@@ -165,6 +167,18 @@ def test_every_command_says_what_it_does(command: str) -> None:
     said = phdtrack(command, "--help")
     assert said.status == 0
     assert COMMANDS[command].split(",")[0].split(":")[0].rstrip(".") in " ".join(said.out.split())
+    # Click writes UTF-8 to a terminal of any encoding: only ASCII is read everywhere.
+    assert said.out.isascii()
+
+
+def test_presets_in_the_help_are_all_there_are() -> None:
+    said = " ".join(phdtrack("track", "--help").out.split()).replace("- ", "-")
+    for preset in PRESETS:
+        assert re.search(rf"(?<![\w-]){preset}[,.]", said)
+
+
+def test_the_help_of_live_says_when_a_camera_is_unhealthy() -> None:
+    assert "--unhealthy-after" in phdtrack("live", "--help").out
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ _FILES = {
     for name in (rundir.COUNTS, rundir.COUNTS_PICTURE, rundir.COUNTS_VIDEO, rundir.COUNTS_PAGE)
 }
 _LINE = "A line: NAME=x1,y1,x2,y2 in pixels; in is from its left to its right. Repeatable."
-_ZONE = "A zone: NAME=x1,y1,x2,y2,x3,y3,… around it. Repeatable."
+_ZONE = "A zone: NAME=x1,y1,x2,y2,x3,y3,... around it. Repeatable."
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,7 +51,7 @@ _QUOTA = (
 )
 _UNHEALTHY = "Seconds without a picture of a camera after which /healthz answers 503."
 _SAVED = "Seconds between checkpoints, from which a restart continues; 0: none."
-_SOURCES = "rtsp://…, http://…, a camera's number or a file; NAME=ADDRESS gives it a name."
+_SOURCES = "rtsp://..., http://..., a camera's number or a file; NAME=ADDRESS gives it a name."
 
 
 @dataclass(frozen=True, slots=True)

@@ -102,7 +102,9 @@ Sets = Annotated[
     option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set"),
 ]
 _PRESETS = (
-    "Settings to start from: default, background, mot15, m07, m07-extended, m09, m09-mht, e13, …"
+    "Settings to start from: default, background, ground, points, other-filters,"
+    " background-other-filters, ground-other-filters, points-other-filters, mot15, m07,"
+    " m07-extended, m09, m09-mht, e13, d14, or fv."
 )
 Preset = Annotated[str, option("NAME", _PRESETS, autocompletion=listed(_PRESETS))]
 Frames = Annotated[

@@ -65,7 +65,8 @@ def simulate(
         list[str] | None, option("NAME=VALUE", "A setting of the scene, as arrivals=0.8.", "--set")
     ] = None,
     look: Annotated[
-        list[str] | None, option("NAME=VALUE", "Look of the video: wave=0.3, lamps=8, noise, …")
+        list[str] | None,
+        option("NAME=VALUE", "Look of the video: wave=0.3, lamps=8, noise and others."),
     ] = None,
     video: given.Video = True,
 ) -> None:

@@ -90,7 +90,7 @@ def known_rate(rate: float, subject: str) -> tuple[float, str]:
     """The rate in frames per second, and a note if it is unknown (0)."""
     if rate > 0:
         return rate, ""
-    return _DEFAULT_FPS, f"{subject} not state its rate; {_DEFAULT_FPS:g} frames/s assumed"
+    return _DEFAULT_FPS, f"{subject} not state a frame rate; {_DEFAULT_FPS:g} frames/s assumed"
 
 
 def head_of(path: Path) -> bytes:
