@@ -9,6 +9,7 @@ import pytest
 from page_cases import FRAMES, SIZE, session
 from starlette.testclient import TestClient
 
+from phdtrack.clock import Clock
 from phdtrack.label import DRAWN, LabelStore
 from phdtrack.label.label_page import label_app
 from phdtrack.types import Detections, DetectionTable
@@ -160,6 +161,19 @@ def test_suggestions_leave_out_what_is_marked(page):
     assert len(page.get("/api/suggestions").json()["items"]) == FRAMES + FRAMES // 2
 
 
+def test_a_clip_is_played_by_the_times_of_its_frames(tmp_path):
+    """A video of 25 frames a second that pauses for a second and a half behind frame 22."""
+    made = session(tmp_path / "labels.sqlite", 12)
+    store = LabelStore.open(tmp_path / "few.sqlite", "drawn", "digest", [1, 20])
+    seconds = np.arange(FRAMES) / 25
+    seconds[22:] += 1.5
+    clock = Clock(np.arange(1, FRAMES + 1), seconds, 25.0)
+    page = TestClient(label_app(replace(made, store=store, clock=clock)))
+    first, other = page.get("/api/overview").json()["frames"]
+    assert first["seconds"] == [0.04] * 11
+    assert other["seconds"] == [0.04] * 12 + [1.54] + [0.04] * 8
+
+
 def test_frames_of_a_clip_are_answered_and_marked(tmp_path):
     made = session(tmp_path / "labels.sqlite", 12)
     store = LabelStore.open(tmp_path / "few.sqlite", "drawn", "digest", [20])
@@ -170,7 +184,7 @@ def test_frames_of_a_clip_are_answered_and_marked(tmp_path):
     stills = {**made.stills, 25: cv2.imencode(".jpg", small)[1].tobytes()}
     page = TestClient(label_app(replace(made, store=store, stills=stills)))
     assert page.get("/api/overview").json()["frames"] == [
-        {"number": 20, "done": False, "clip": [10, 30]}
+        {"number": 20, "done": False, "clip": [10, 30], "seconds": [0.04] * 21}
     ]
     assert len(page.get("/api/frame/25").json()["boxes"]) == 13
     crop = cv2.imdecode(np.frombuffer(page.get("/crop/25/0.jpg").content, np.uint8), 0)

@@ -409,6 +409,9 @@ def test_births_are_marked_on_the_clip_about_a_frame(it, store):
     press(" ")
     it.page.wait_for_selector('#play:text-is("❚❚")')
     it.page.wait_for_selector('#when:text-matches(" .−[0-9]")')
+    # Round and round, one timer at a time.
+    it.page.wait_for_selector('#when:text-matches(" .\\+[0-9]")')
+    it.page.wait_for_selector('#when:text-matches(" .−[0-9]")')
     press(" ")
     it.page.wait_for_selector('#play:text-is("▶")')
 

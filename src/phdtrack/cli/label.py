@@ -104,7 +104,9 @@ def label(
         kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
         work = Background(partial(suggestions, sequence, settings, numbers, kept))
     command = _learn_command(tracked, file, {"config": config, "set": sets, "blur": blur})
-    session = Session(store, sequence.table, pictures, sequence.info, work, command, labeller)
+    session = Session(
+        store, sequence.table, pictures, sequence.info, work, command, labeller, sequence.clock
+    )
     state = store.progress()
     output.say(
         f"{counted(state.frames, 'frame')}, {state.done} of them done; the marks are kept in {file}"

@@ -18,6 +18,7 @@ from starlette.applications import Starlette
 from starlette.routing import Route
 
 from phdtrack.arrays import iou
+from phdtrack.clock import Clock
 from phdtrack.errors import InputError
 from phdtrack.label.exchange import Exchange
 from phdtrack.label.samples import boxes_of, clip
@@ -77,6 +78,7 @@ class Session:
     background : looks for suggestions; None without them.
     command : the shell command that learns from the marks.
     labeller : name of the labeller, unless the page gives another one.
+    clock : the times of the frames; None for a constant rate.
     """
 
     store: LabelStore
@@ -86,6 +88,7 @@ class Session:
     background: Background | None = None
     command: str = "phdtrack learn"
     labeller: str = ""
+    clock: Clock | None = None
 
     @property
     def exchange(self) -> Exchange:
@@ -99,19 +102,25 @@ class Session:
         return self.command
 
     def overview(self) -> dict[str, object]:
-        """Size, name, the file of labels (its name, and the path where it is ``kept``), the state
-        of each frame, and the progress.
+        """Size, name, the file of labels (its name, and the path where it is ``kept``), the
+        progress, and of each frame the state and its clip: first and last frame, and for how many
+        seconds each of them is seen.
         """
         info = self.info
+        clock = self.clock or Clock.constant(info.fps)
         clips = [(number, done, clip(number, info.frames)) for number, done in self.store.frames()]
         return {
             "name": info.name,
             "file": self.store.name,
             "width": info.width,
             "height": info.height,
-            "fps": info.fps,
             "frames": [
-                {"number": number, "done": done, "clip": [c.start, c.stop - 1]}
+                {
+                    "number": number,
+                    "done": done,
+                    "clip": [c.start, c.stop - 1],
+                    "seconds": np.diff(clock.times([*c, c.stop])).round(3).tolist(),
+                }
                 for number, done, c in clips
             ],
             "progress": self._progress(),

@@ -1,6 +1,7 @@
 // The short clip about a drawn frame: a few frames before it and behind it, one by one or played in a loop.
 
-const SLOWEST = 12;
+// Seconds for which a frame is seen at least, so that one can follow, and at most, where the video pauses.
+const [LEAST, MOST] = [1 / 12, 2];
 
 export class Clip {
   constructor({ show, load }) {
@@ -13,9 +14,9 @@ export class Clip {
   }
 
   // From now on the clip about the frame `drawn`, which is there.
-  begin(drawn, [first, last], fps) {
+  begin(drawn, [first, last], seconds) {
     this.stop();
-    Object.assign(this, { drawn, range: [first, last], at: drawn, wanted: drawn, fps });
+    Object.assign(this, { drawn, range: [first, last], at: drawn, wanted: drawn, seconds });
     this.ticket += 1;
   }
 
@@ -46,18 +47,28 @@ export class Clip {
     for (let n = this.range[0]; n <= this.range[1]; n++) this.load(n).catch(() => {});
   }
 
-  // Not faster than one can follow.
+  // Each frame for as long as the video shows it.
   play() {
     if (this.playing) return this.stop();
     this.ahead();
-    const [first, last] = this.range;
-    this.playing = setInterval(() => this.go(this.at >= last ? first : this.at + 1), 1000 / Math.min(this.fps, SLOWEST));
+    this.later();
     this.show();
+  }
+
+  later() {
+    const [first, last] = this.range;
+    const seconds = Math.min(Math.max(this.seconds[this.at - first], LEAST), MOST);
+    const own = setTimeout(async () => {
+      // A frame that does not come ends nothing: it is asked for again.
+      await this.go(this.at >= last ? first : this.at + 1).catch(() => {});
+      if (this.playing === own) this.later();
+    }, 1000 * seconds);
+    this.playing = own;
   }
 
   stop() {
     if (!this.playing) return;
-    clearInterval(this.playing);
+    clearTimeout(this.playing);
     this.playing = 0;
     this.ticket += 1;
     this.wanted = this.at;

@@ -89,7 +89,7 @@ async function go(place) {
   }
   if (ticket !== going) return;
   here = to;
-  clip.begin(number(), overview.frames[here].clip, overview.fps);
+  clip.begin(number(), overview.frames[here].clip, overview.frames[here].seconds);
   forget();
   shown();
   $("spoken").textContent = `${to + 1} of ${overview.frames.length}: frame ${number()}, ${frame().boxes.length} boxes`;
