@@ -115,7 +115,7 @@ def test_truth_of_a_run_that_does_not_fit(sequence: Path, tmp_path: Path) -> Non
     rows = [line for line in truth.read_text().split() if int(line.split(",")[0]) % 5 == 1]
     keys.write_text("\n".join(rows))
     said = phdtrack(*asked, keys)
-    assert "in every 5th frame alone, and only these 8 frames are scored" in said.err
+    assert "in one of 5 frames, and only these 8 frames are scored" in said.err
     alone = json.loads((tmp_path / "run" / "run.json").read_text())["scores"]
     assert (alone["frames"], alone["false_positives"]) == (8, 0)
     found = phdtrack(*asked, keys, "--labelled", "all", "--json")
@@ -260,7 +260,7 @@ def test_compare_scores_keyframes_alone(tmp_path: Path) -> None:
     truth.write_text("\n".join(rows))
     best, false, said = moda(sequence)
     assert (best > 0.5, false) == (True, 0)
-    assert "in every 5th frame alone, and only these 8 frames are scored" in said
+    assert "in one of 5 frames, and only these 8 frames are scored" in said
     _, false, said = moda(sequence, "--labelled", "all")
     assert (false > 32, "every 5th" in said) == (True, False)
     assert "frame numbers from 1" in refused(*COMPARE, sequence, "--labelled", "0")

@@ -578,92 +578,71 @@ def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
         measurement[e] = edges[e].measurement
     by_target = sorted_by_cell(target, targets)
     by_measurement = sorted_by_cell(measurement, measurements)
-    changed = np.ones(targets, np.bool_), np.zeros(measurements, np.bool_)
-    total = np.zeros(measurements)
+    ones = np.ones(size)
+    targets_changed = np.ones(targets, np.bool_)
+    measurements_changed = np.zeros(measurements, np.bool_)
+    detected = np.zeros(targets)
+    claimed = np.zeros(measurements)
     for _ in range(ROUNDS):
-        _send_to_measurements(by_target, odds, nu, measurement, mu, changed)
-        if _send_to_targets(by_measurement, mu, target, nu, total, changed) <= SETTLED:
+        changed = targets_changed, measurements_changed
+        _send(by_target, odds, nu, mu, measurement, detected, changed)
+        changed = measurements_changed, targets_changed
+        if _send(by_measurement, ones, mu, nu, target, claimed, changed) <= SETTLED:
             break
-    missed = np.empty(targets)
     begin, order = by_target
     for t in range(targets):
-        detected = 0.0
-        for k in range(begin[t], begin[t + 1]):
-            detected += odds[order[k]] * nu[order[k]]
-        for k in range(begin[t], begin[t + 1]):
-            edges[order[k]].mu = odds[order[k]] * nu[order[k]] / (1.0 + detected)
-        missed[t] = 1.0 / (1.0 + detected)
-    for j in range(measurements):
-        total[j] = 1.0 / (1.0 + total[j])
-    return missed, total
-
-
-@njit(**INNER)
-def _send_to_measurements(
-    by_target: tuple[I8, I8],
-    odds: F8,
-    nu: F8,
-    measurement: I8,
-    mu: F8,
-    changed: tuple[Bool, Bool],
-) -> None:
-    """Compute μ of the edges of targets with a changed ν [PMB (8)]; marks the measurements whose μ
-    changed.
-
-    ``by_target``: where the edges of each target begin, and the edges in this order.
-    """
-    begin, order = by_target
-    stale, to_update = changed
-    for t in range(stale.size):
-        if not stale[t]:
-            continue
-        stale[t] = False
         total = 0.0
         for k in range(begin[t], begin[t + 1]):
             total += odds[order[k]] * nu[order[k]]
         for k in range(begin[t], begin[t + 1]):
+            edges[order[k]].mu = odds[order[k]] * nu[order[k]] / (1.0 + total)
+        detected[t] = total
+    return 1.0 / (1.0 + detected), 1.0 / (1.0 + claimed)
+
+
+@njit(**INNER)
+def _send(
+    by_end: tuple[I8, I8],
+    odds: F8,
+    received: F8,
+    sent: F8,
+    other_end: I8,
+    total: F8,
+    changed: tuple[Bool, Bool],
+) -> float:
+    """Compute the messages that targets, or measurements, send along their pairs [PMB (8)]; returns
+    the largest change.
+
+    With a the odds of a pair and r the message received along it, a / (1 + Σ_{other pairs} a r) is
+    sent: μ by a target with a = ψ and r = ν, ν by a measurement with a = 1 and r = μ.
+
+    Parameters
+    ----------
+    by_end : where the edges of each target or measurement begin, and the edges in this order.
+    odds, received, sent : (E,) a, r and what is sent; ``other_end``: (E,) who receives it.
+    total : written at each that sends: Σ a r.
+    changed : who received another message than before and has to send, which is cleared, and who is
+        sent another one, which is marked.
+    """
+    begin, order = by_end
+    stale, informed = changed
+    largest = 0.0
+    for i in range(stale.size):
+        if not stale[i]:
+            continue
+        stale[i] = False
+        total[i] = 0.0
+        for k in range(begin[i], begin[i + 1]):
+            total[i] += odds[order[k]] * received[order[k]]
+        for k in range(begin[i], begin[i + 1]):
             e = order[k]
-            others = total - odds[e] * nu[e]
+            others = total[i] - odds[e] * received[e]
             value = odds[e]
             # A difference of sums may be rounding below 0.
             if others > 0.0:
                 value = odds[e] / (1.0 + others)
-            if value != mu[e]:
-                mu[e] = value
-                to_update[measurement[e]] = True
-
-
-@njit(**INNER)
-def _send_to_targets(
-    by_measurement: tuple[I8, I8],
-    mu: F8,
-    target: I8,
-    nu: F8,
-    total: F8,
-    changed: tuple[Bool, Bool],
-) -> float:
-    """Compute ν of the edges of measurements with a changed μ [PMB (8)], and Σ μ of these into
-    ``total`` (N,); marks the targets whose ν changed. Returns the largest change.
-    """
-    begin, order = by_measurement
-    to_update, stale = changed
-    largest = 0.0
-    for j in range(stale.size):
-        if not stale[j]:
-            continue
-        stale[j] = False
-        claimed = 0.0
-        for k in range(begin[j], begin[j + 1]):
-            claimed += mu[order[k]]
-        total[j] = claimed
-        for k in range(begin[j], begin[j + 1]):
-            e = order[k]
-            others = claimed - mu[e]
-            value = 1.0
-            if others > 0.0:
-                value = 1.0 / (1.0 + others)
-            if value != nu[e]:
-                largest = max(largest, abs(value - nu[e]))
-                nu[e] = value
-                to_update[target[e]] = True
+            if value != sent[e]:
+                largest = max(largest, abs(value - sent[e]))
+                sent[e] = value
+                informed[other_end[e]] = True
     return largest

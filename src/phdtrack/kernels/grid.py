@@ -46,9 +46,9 @@ def cell_of(value: float, origin: float, per_cell: float, count: int) -> int:
     """Index of the cell that holds ``value``, clamped to the grid; ``per_cell`` is one over the
     cell's size.
     """
-    position = (value - origin) * per_cell
-    if not position > 0.0:  # also NaN
+    if not (value > origin and per_cell > 0.0):  # also NaN
         return 0
+    position = (value - origin) * per_cell
     if position >= count - 1:
         return count - 1
     return int(position)

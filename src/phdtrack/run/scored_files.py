@@ -295,8 +295,8 @@ def labelled_frames(
     found = regularly_labelled(truth, tracks)
     if len(found):
         notices.append(
-            f"{path}: objects are annotated in every {found[1] - found[0]}th frame alone, and only"
-            f" these {len(found)} frames are scored: --labelled all scores all"
+            f"{path}: objects are annotated in one of {found[1] - found[0]} frames, and only these"
+            f" {len(found)} frames are scored: --labelled all scores all"
         )
     elif tracks is not None and (sentence := keyframe_doubt(truth, tracks)):
         notices.append(sentence)
