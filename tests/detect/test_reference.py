@@ -132,7 +132,7 @@ def test_scene_noise_is_the_median_energy(height: int, width: int) -> None:
     detector = ChangeDetector()
     ramp = np.linspace(60, 180, width)[None, :, None] + np.zeros((height, 1, 3))
     samples = [
-        np.clip(ramp + rng.normal(0, 6, ramp.shape), 0, 255).astype(np.uint8) for _ in range(9)
+        np.clip(ramp + rng.normal(0, 3, ramp.shape), 0, 255).astype(np.uint8) for _ in range(9)
     ]
     study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(samples)])
     pictures = [planes_of(image) for image in samples]

@@ -6,7 +6,7 @@ import pytest
 
 from phdtrack.kernels.blobs import Cleaning, cleaned, edges, measured, valley
 from phdtrack.kernels.change import MARGIN, Past, Statistic, changed, compare, follow, middle
-from phdtrack.kernels.planes import colours, lighting, noise, smooth
+from phdtrack.kernels.planes import colours, lighting, noise, relit, smooth
 from reference import change_twin as twin
 
 WEIGHTS = tuple(np.array([1 / 100, 1 / 40, 1 / 12, 1 / 9], np.float32))
@@ -58,7 +58,7 @@ def test_changed_pixels_are_those_of_the_definition(
     flat = twin.parted(image)
     then = twin.parted(reference)
     mask, energy = compare(
-        flat, then, light, scene, rule(window), CAMERA, nothing(len(flat), height, width)
+        flat, flat, then, light, scene, rule(window), CAMERA, nothing(len(flat), height, width)
     )
     usual = twin.energy(image, twin.relit(reference.astype(float), gain, offset), WEIGHTS)
     np.testing.assert_allclose(energy, usual, rtol=1e-3, atol=2e-3)
@@ -84,9 +84,12 @@ def test_pixels_like_earlier_samples_have_not_changed(rng: np.random.Generator) 
     past = Past(seen, differing, *twin.extremes(seen, height, width))
     then = twin.parted(reference)
     before = (
-        compare(flat, then, SAME, scene, rule(3), CAMERA, nothing(len(flat), height, width))[0] > 0
+        compare(flat, flat, then, SAME, scene, rule(3), CAMERA, nothing(len(flat), height, width))[
+            0
+        ]
+        > 0
     )
-    after = compare(flat, then, SAME, scene, rule(3), CAMERA, past)[0] > 0
+    after = compare(flat, flat, then, SAME, scene, rule(3), CAMERA, past)[0] > 0
     known = twin.recalled(now, samples, differing, WEIGHTS, 3.0)
     np.testing.assert_array_equal(after, before & ~known)
     # Some of it is known from nearby alone.
@@ -118,6 +121,53 @@ def test_light_is_a_line_through_unchanged_pixels(rng: np.random.Generator) -> N
     np.testing.assert_allclose(found[:, 3], inverse @ offset, atol=0.2)
 
 
+@pytest.mark.parametrize(("height", "width"), [(24, 40), (9, 37), (1, 1)])
+def test_a_picture_is_led_back_to_the_light_of_the_reference(
+    rng: np.random.Generator, height: int, width: int
+) -> None:
+    reference = twin.joined(
+        twin.parted(rng.uniform([60, 118, 118], [140, 138, 138], (height, width, 3))), height, width
+    ).round()
+    gain = np.array([0.7, 0.8, 0.75])
+    offset = np.array([6.0, -2.0, 3.0])
+    inverse = np.linalg.inv(twin.TO_BGR)
+    light = np.column_stack([inverse @ np.diag(gain) @ twin.TO_BGR, inverse @ offset]).astype(
+        np.float32
+    )
+    dim = twin.relit(reference, gain, offset).round().clip(0, 255).astype(np.uint8)
+    found = relit(twin.parted(dim), light, (height, width))
+    # Rounding of the dim picture, divided by its gain.
+    np.testing.assert_allclose(found, twin.parted(reference), atol=1.6)
+    flat = twin.parted(dim)
+    assert relit(flat, SAME, (height, width)) is flat
+
+
+def test_pixels_are_compared_with_the_past_in_one_light(rng: np.random.Generator) -> None:
+    """What samples often showed is the scene in any light."""
+    height = 16
+    width = 24
+    reference = np.full((height, width, 3), 128, np.float32)
+    reference[..., 0] = 140
+    leaf = np.full((height, width, 3), 128, np.uint8)
+    leaf[..., 0] = 60
+    samples = np.stack([twin.parted(reference.astype(np.uint8)), twin.parted(leaf)] * 10, axis=1)
+    samples[: height * width] = twin.LOG[samples[: height * width]]
+    differing = np.full((height, width), 10, np.uint8)
+    past = Past(samples, differing, *twin.extremes(samples, height, width))
+    light = SAME.copy()
+    light[0, 0] = 0.5
+    dim = leaf.copy()
+    dim[..., 0] = 16 + (60 - 16) // 2
+    scene = np.full((height, width), 3, np.float32)
+    flat = twin.parted(dim)
+    level = relit(flat, light, (height, width))
+    then = twin.parted(reference)
+    for past_picture, seen in ((level, False), (flat, True)):
+        mask, _ = compare(flat, past_picture, then, light, scene, rule(3), CAMERA, past)
+        assert bool(mask.all()) == seen
+        assert bool(mask.any()) == seen
+
+
 def test_saturated_pixels_have_not_changed() -> None:
     """The reference in a light that makes it brighter than white."""
     image = np.full((12, 12, 3), 128, np.uint8)
@@ -129,7 +179,14 @@ def test_saturated_pixels_have_not_changed() -> None:
     past = nothing(216, 12, 12)
     scene = np.ones((12, 12), np.float32)
     mask, energy = compare(
-        twin.parted(image), twin.parted(reference), light, scene, rule(3), CAMERA, past
+        twin.parted(image),
+        twin.parted(image),
+        twin.parted(reference),
+        light,
+        scene,
+        rule(3),
+        CAMERA,
+        past,
     )
     assert not mask.any()
     np.testing.assert_allclose(energy, 0, atol=1e-6)
@@ -267,8 +324,8 @@ def test_one_call_does_all_steps_of_a_frame(
     )
     light = lighting(then, flat, foreground, 2)
     across, down = beyond
-    raw, energy = compare(flat, then, light, scene, rule(3), camera, past)
-    for one, other in zip(found, (energy, light), strict=True):
+    raw, energy = compare(flat, flat, then, light, scene, rule(3), camera, past)
+    for one, other in zip(found, (energy, light, flat), strict=True):
         np.testing.assert_array_equal(one, other)
     inside = np.zeros((height, width), np.bool_)
     inside[down : height - down, across : width - across] = True

@@ -86,8 +86,8 @@ def recalled(
     weights: tuple[float, ...],
     limit: float,
 ) -> np.ndarray:
-    """Where pixels look as in at least 4 runs of samples (H, W, 3, K), and in 0.35 of those that
-    differ.
+    """Where pixels look as in at least 4 runs of samples (H, W, 3, K), 0.6 of the runs that are
+    expected of as many in random order, and in 0.35 of those that differ.
 
     Where a tenth of them differs, also where as many samples as differ, and 0.33 of all, look so
     within three pixels. Both have the logarithm of brightness.
@@ -106,12 +106,11 @@ def recalled(
                     alike[0, k] = same
     runs = alike[:, 0] + (alike[:, 1:] & ~alike[:, :-1]).sum(axis=1)
     often = alike.sum(axis=1)
+    enough = runs >= np.maximum(4, 0.6 * often * (count - often + 1) / count)
     sways = (
-        (differing >= 0.1 * count)
-        & (often[1] >= np.maximum(0.33 * count, differing))
-        & (runs[1] >= 4)
+        (differing >= 0.1 * count) & (often[1] >= np.maximum(0.33 * count, differing)) & enough[1]
     )
-    return ((runs[0] >= 4) & (often[0] >= 0.35 * differing)) | sways
+    return (enough[0] & (often[0] >= 0.35 * differing)) | sways
 
 
 def extremes(samples: np.ndarray, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:

@@ -15,18 +15,20 @@ hence the logarithm, and stronger towards dark; and the scene's, s(q) ≥ 1, lea
 gain and adds an offset; both are fitted to the background.
 
 For a file, the reference and s(q) are learned from about 50 samples (`reference.background`,
-`scene_knowledge.study`). Pixels that objects hid most of the time show nothing of the scene's
-noise; they take that of the others. A pixel that differs from the reference is not changed if the
-samples often showed the same value there, or, if much changes there, a few pixels away
-(`kernels.change`): leaves, flags, lamps. If the samples show that the camera shakes, each picture
-is first registered to the scene (`reference.Anchor`). The samples also teach how high objects are
-at each place (`components.Heights`), so that two objects one above the other are not joined.
+`scene_knowledge.study`), which are brought into one light (`scene_light`). Pixels that objects hid
+most of the time show nothing of the scene's noise; they take that of the others. A pixel that
+differs from the reference is not changed if the samples often showed the same value there, or, if
+much changes there, a few pixels away, and if it came and went (`kernels.change`): leaves, flags,
+lamps, but not a person who stands. If the samples show that the camera shakes, each picture is
+first registered to the scene (`reference.Anchor`). The samples also teach how high objects are at
+each place (`components.Heights`), so that two objects one above the other are not joined.
 
 For a live source, the reference is at first the median of samples of the first seconds. Then it
-adapts exponentially, with a much longer time constant under foreground. A component whose outline
-is a stronger edge in the reference than in the frame is a ghost: an object stood there when the
-reference was learned, and has left. A ghost is not reported, and one that lasts is absorbed by the
-reference.
+adapts exponentially, except within the boxes of objects: a person who stands is not absorbed bit by
+bit. An object that does not move at all for minutes is absorbed as a whole. A component whose
+outline is a stronger edge in the reference than in the frame is a ghost: an object stood there when
+the reference was learned, and has left. A ghost is not reported, and one that lasts is absorbed by
+the reference.
 """
 
 from __future__ import annotations
@@ -50,6 +52,7 @@ from phdtrack.detect.components import (
     check_same_size,
 )
 from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
+from phdtrack.detect.scene_light import SceneLight
 from phdtrack.detect.scene_samples import MAX_NOISE, logarithmic, sample_history, scene_noise
 from phdtrack.devices import planes_of, size_of
 from phdtrack.errors import InputError, Positive, PositiveCount, check
@@ -73,6 +76,11 @@ _GHOST_EDGE = 0.8
 # An object that flies past and hides an edge looks like a ghost for a frame or two. A ghost must
 # last this long, in seconds, before the reference absorbs it.
 _GHOST_SECONDS = 0.2
+# Pictures are compared at this distance in seconds to see whether an object stands still: if so
+# many grey levels at most differ in so large a share of its pixels.
+_COMPARE_SECONDS = 1.0
+_SAME_GREY = 12
+_STILL_SHARE = 0.9
 # Seconds between samples that are independent, and the share of the threshold below which a sample
 # resembles a pixel.
 _SAMPLE_INTERVAL = 0.5
@@ -92,7 +100,7 @@ _MAX_LOST_TIME = 2.0
 # the others still show the background.
 _ANCHOR_CANDIDATES = (2, 1, 3)
 # Attributes that follow from the settings or from `study`, and are not saved.
-_NOT_SAVED = ("_rule", "_past", "_heights", "_anchor", "_pose", "_shaky")
+_NOT_SAVED = ("_rule", "_past", "_heights", "_anchor", "_pose", "_shaky", "_light")
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # Pixels by which an outline extends on both sides of a component's border.
 _OUTLINE = 3
@@ -114,7 +122,7 @@ class ChangeDetector:
         frame.
     samples : frames of which the first reference is the median; odd.
     adapt : time constant in seconds with which the reference follows the background.
-    adapt_objects : the same under objects: how long something that has stopped stays an object.
+    adapt_objects : seconds after which an object that does not move at all is a part of the scene.
     blobs : how the mask becomes boxes.
     """
 
@@ -223,7 +231,7 @@ class ChangeDetector:
             times.append(frame.time)
         self._learning = False
         shape = self._shape
-        pictures = self._stabilise(pictures)
+        pictures = self._light.levelled(self._stabilise(pictures))
         reference, hidden = background(pictures, shape)
         self._reference = reference.astype(np.float32)
         if self._shaky:
@@ -278,6 +286,10 @@ class ChangeDetector:
                 pictures[k] = stabilised(pictures[k], self._shape, pose @ back)
         return pictures
 
+    def _steps(self) -> tuple[int, int]:
+        """Distances both ways of the pixels from which noise and light are measured."""
+        return _SPARSE, max(1, round((self._foreground.size / _GRID_POINTS) ** 0.5))
+
     def _learn_usual(
         self, pictures: Sequence[Image], independent: Sequence[Image], hidden: Bool
     ) -> None:
@@ -300,7 +312,6 @@ class ChangeDetector:
             self._begin(frame)
             return Detections.empty()
         check_same_size(frame, self._shape)
-        steps = _SPARSE, max(1, round((self._foreground.size / _GRID_POINTS) ** 0.5))
         picture = planes_of(frame.picture)
         if self._shaky:
             self._pose = self._anchor.pose(luma(picture, self._shape))
@@ -309,14 +320,15 @@ class ChangeDetector:
                 picture = stabilised(picture, self._shape, self._pose)
             elif frame.time - self._last_pose_time < _MAX_LOST_TIME:
                 return Detections.empty(observed=False)
-        mask, energy, light = changed(
+        picture = self._light.even(picture, self._reference, self._foreground)
+        mask, energy, light, level = changed(
             picture,
             self._previous,
             self._camera,
             (self._reference, self._scene, self._foreground),
             self._rule,
             self._past,
-            steps,
+            self._steps(),
             self.blobs.cleaning(self._shape[0]),
             self._unseen_border(),
         )
@@ -329,9 +341,13 @@ class ChangeDetector:
                 ghosts.append(component[1])
             else:
                 objects.append(component)
-        self._adapt(frame, picture, energy, ghosts)
-        self._sample(frame, picture)
         boxes = self.blobs.boxes(objects, mask.shape, self._heights)
+        # What looks like the scene inside of an object is part of it.
+        for left, top, right, bottom in boxes.astype(int):
+            self._foreground[top:bottom, left:right] = 255
+        self._adapt(frame, level, energy)
+        self._absorb(frame, level, ghosts, self._still(frame, level, objects))
+        self._sample(frame, picture)
         if len(self._pose):
             corners = boxes.reshape(-1, 2) @ self._pose[:2, :2].T + self._pose[:2, 2]
             boxes = np.clip(corners.reshape(-1, 4), 0, np.tile(self._shape[::-1], 2))
@@ -357,6 +373,7 @@ class ChangeDetector:
         self._foreground: Image = np.zeros(shape, np.uint8)
         self._past = Past(*(np.zeros(size, np.uint8) for size in ((n, 0), shape, (n, 2), (n, 2))))
         self._heights = None
+        self._light: SceneLight = SceneLight(shape, self._steps()[1])
         self._samples = [picture]
         self._due = frame.time + self.learn / self.samples
         self._learning = self.samples > 1
@@ -364,13 +381,16 @@ class ChangeDetector:
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
         self._ghost_time: F4 = np.zeros(shape, np.float32)
         self._had_ghosts = False
+        self._still_time: F4 = np.zeros(shape, np.float32)
+        self._compared = luma(picture, shape).copy()
+        self._compared_time = frame.time
         self._shaky = False
         self._pose = STILL
         self._last_pose_time = frame.time
         self._camera: F8 = np.ones(CHANNELS)
         planes = logarithmic(picture, shape)
         step = slice(None, None, _SPARSE // 2)
-        self._previous = np.stack(
+        self._previous: Image = np.stack(
             [luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]]
         )
         self._time = frame.time
@@ -425,7 +445,14 @@ class ChangeDetector:
         if not recall:
             past = past._replace(samples=np.zeros((current.size, 0), np.uint8))
         mask, energy = compare(
-            current, reference, _SAME_LIGHT, self._scene[rows], self._rule, self._camera, past
+            current,
+            current,
+            reference,
+            _SAME_LIGHT,
+            self._scene[rows],
+            self._rule,
+            self._camera,
+            past,
         )
         return mask, energy
 
@@ -443,26 +470,53 @@ class ChangeDetector:
         strengths = edges(current, reference, mask, _OUTLINE, wide)
         return [bool(now < _GHOST_EDGE * light[0, 0] * before) for now, before in strengths]
 
-    def _adapt(self, frame: Frame, picture: Image, energy: F4, ghosts: list[Contour]) -> None:
-        """Let reference and scene noise follow by the time that has passed; absorb lasting
-        ghosts.
+    def _still(self, frame: Frame, picture: Image, objects: Sequence[Component]) -> list[Contour]:
+        """The outlines of objects that have not moved for a long time: they are part of the scene
+        now. A person who stands always sways.
+        """
+        passed = frame.time - self._compared_time
+        if passed < _COMPARE_SECONDS:
+            return []
+        self._compared_time = frame.time
+        now = luma(picture, self._shape)
+        same = cv2.absdiff(now, self._compared) <= _SAME_GREY
+        self._compared = now.copy()
+        self._still_time = np.where(
+            same & (self._foreground > 0), self._still_time + np.float32(passed), np.float32(0)
+        )
+        still = self._still_time >= self.adapt_objects
+        if not still.any():
+            return []
+        found = list[Contour]()
+        for (left, top, right, bottom), contour in objects:
+            inside = np.zeros((bottom - top, right - left), np.uint8)
+            cv2.drawContours(inside, [contour], -1, 1, cv2.FILLED, offset=(-left, -top))
+            if still[top:bottom, left:right][inside > 0].mean() >= _STILL_SHARE:
+                found.append(contour)
+        return found
+
+    def _adapt(self, frame: Frame, picture: Image, energy: F4) -> None:
+        """Let reference and scene noise follow by the time that has passed, except under
+        objects.
         """
         passed = max(0.0, frame.time - self._time)
-        self._time = frame.time
-        if self._learning:
-            rates = [0.0, 0.0]
-        else:
-            rates = [min(1.0, passed / self.adapt), min(1.0, passed / self.adapt_objects)]
-        rates += [min(0.2, passed / self.adapt), MAX_NOISE]
+        rate = 0.0 if self._learning else min(1.0, passed / self.adapt)
         follow(
             picture,
             energy,
             self._reference,
             self._scene,
             self._foreground,
-            np.array(rates, np.float32),
+            np.array([rate, 0.0, min(0.2, passed / self.adapt), MAX_NOISE], np.float32),
         )
-        if self._learning or not (ghosts or self._had_ghosts):
+
+    def _absorb(
+        self, frame: Frame, picture: Image, ghosts: list[Contour], still: list[Contour]
+    ) -> None:
+        """Make lasting ghosts, and objects that stand ``still``, a part of the reference."""
+        passed = max(0.0, frame.time - self._time)
+        self._time = frame.time
+        if self._learning or not (ghosts or still or self._had_ghosts):
             return
         filled: Image = np.zeros(self._shape, np.uint8)
         cv2.drawContours(filled, ghosts, -1, 255, cv2.FILLED)
@@ -474,6 +528,7 @@ class ChangeDetector:
         self._ghost_time = np.where(filled > 0, lasted, np.float32(0))
         self._had_ghosts = bool(ghosts)
         lasting = (self._ghost_time >= _GHOST_SECONDS).astype(np.uint8)
+        cv2.drawContours(lasting, still, -1, 1, cv2.FILLED)
         if not lasting.any():
             return
         absorbed = cv2.dilate(lasting, _NEAR) > 0

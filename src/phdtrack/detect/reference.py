@@ -1,10 +1,13 @@
 """The empty scene from samples of a video, even where objects are present most of the time.
 
-The median of a pixel over the samples shows the scene if most samples do. Otherwise the scene's
-edges are still visible: an object hides an edge, and adds edges of its own, only where it stands at
-that moment. So the median of the gradients over the samples is the scene's gradient even where the
-median of the values is not the scene (intrinsic images; Weiss, 2001). In the region U where samples
-disagree, the picture is integrated from these gradients,
+The median of a pixel over the samples shows the scene if most samples do. Otherwise the scene may
+still be what recurs: objects differ from each other, and the scene is the same whenever it is
+visible. So a patch of the picture that is the same in two fifths of the samples is the scene. Where
+nothing recurs as often, the scene's edges are still visible: an object hides an edge, and adds
+edges of its own, only where it stands at that moment. So the median of the gradients over the
+samples is the scene's gradient even where the median of the values is not the scene (intrinsic
+images; Weiss, 2001). In the region U where samples disagree, the picture is integrated from these
+gradients,
 
     min_P Σ ‖P(q) − P(p) − median_k (S_k(q) − S_k(p))‖²
     over neighbours p, q with at least one in U; P = median_k S_k outside of U,
@@ -24,6 +27,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.change import middle
 from phdtrack.kernels.planes import BLACK, FROM_BGR, TO_BGR, colours, luma
+from phdtrack.kernels.recurring import recurrences, same_patches
 from phdtrack.types import F4, F8, I8, STILL, Bool, Image
 
 # The median is certain if this share of the samples lies within so many grey levels of it.
@@ -33,6 +37,13 @@ _CERTAIN = 0.9
 _WRONG = 12.0
 # A pixel was hidden if its scene value differs from the median by more grey levels than this.
 _HIDDEN = 6.0
+# Patches of the low-resolution picture have so many pixels to each side of their middle, and are
+# the same if this share of them is within `_SAME`. One that recurs in this share of the samples is
+# the scene; its pixels are the medians of so many samples.
+_REACH = 3
+_ALIKE = 0.8
+_RECURS = 0.4
+_FEW = 5
 # Above this share of uncertain pixels the boundary values are too few to integrate from.
 _MAX_UNCERTAIN = 0.95
 # Pixels of the low-resolution picture; bytes whose median is computed at a time.
@@ -142,8 +153,8 @@ def median(samples: Sequence[Image]) -> Image:
 
 
 def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image, Bool]:
-    """The empty scene: the median, or, where the gradients contradict it, the sample that fits them
-    best.
+    """The empty scene: what recurs most, or else the median, or, where the gradients contradict it,
+    the sample that fits them best.
 
     Parameters
     ----------
@@ -160,24 +171,54 @@ def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image,
     scale = min(1.0, (_COARSE / (height * width)) ** 0.5)
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
     small = np.stack([_shrunk(one, shape, size) for one in samples])
-    integrated = _integrated(small)
-    wrong = np.abs(integrated - middle_of(small).astype(np.float32)).max(axis=2) > _WRONG
+    recurs, alike = _recurring(small)
+    usual = middle_of(small).astype(np.float32)
+    shown = middle_of(small[alike, *np.indices(recurs.shape)]).astype(np.float32)
+    target = _integrated(small, np.where(recurs[..., None], shown, usual), recurs)
+    wrong = np.abs(target - usual).max(axis=2) > _WRONG
     if not wrong.any():
         return typical, np.zeros(shape, np.bool_)
     wrong = cv2.resize(cv2.dilate(wrong.astype(np.uint8), _RING), (width, height)) > 0
+    # Each pixel's place in the low-resolution picture.
+    rows = np.arange(height) * size[1] // height
+    columns = np.arange(width) * size[0] // width
+    recurring = wrong & recurs[np.ix_(rows, columns)]
+    doubtful = wrong & ~recurring
     index = _plane_index(shape)
-    targets = cv2.resize(integrated, (width, height))[wrong]
-    chosen = np.zeros((*shape, 3), np.uint8)
-    chosen[wrong] = _nearest(targets, samples, index[wrong])
-    chosen[~wrong] = typical[index][~wrong]
+    chosen = typical[index]
+    targets = cv2.resize(target, (width, height))[doubtful]
+    chosen[doubtful] = _nearest(targets, samples, index[doubtful])
+    row, column = np.nonzero(recurring)
+    chosen[recurring] = _taken(samples, index[recurring], alike[:, rows[row], columns[column]])
     # The median removes a choice that differs from all around it: it is noise.
-    scene_values = cv2.medianBlur(chosen, 5)[wrong]
+    chosen[doubtful] = cv2.medianBlur(chosen, 5)[doubtful]
     scene = typical.copy()
-    scene[index[wrong]] = scene_values
+    scene[index[wrong]] = chosen[wrong]
     hidden = np.zeros(shape, np.bool_)
-    difference = np.abs(_bgr(scene_values) - _bgr(typical[index[wrong]]))
+    difference = np.abs(_bgr(chosen[wrong]) - _bgr(typical[index[wrong]]))
     hidden[wrong] = difference.max(axis=1) > _HIDDEN
     return scene, hidden
+
+
+def _recurring(small: Image) -> tuple[Bool, I8]:
+    """(h, w) True where a patch recurs so often in samples (K, h, w, 3) that it is the scene, and
+    (`_FEW`, h, w) samples that show it.
+    """
+    counts = recurrences(small, _SAME, _REACH, _ALIKE)
+    alike = same_patches(small, _SAME, _REACH, _ALIKE, counts.argmax(axis=0), _FEW)
+    return np.asarray(counts.max(axis=0) + 1 >= _RECURS * len(small)), np.asarray(alike)
+
+
+def _taken(samples: Sequence[Image], index: I8, alike: I8) -> Image:
+    """(m, 3) the medians of pixels in some samples each.
+
+    ``index`` (m, 3): where the samples keep these pixels; ``alike`` (`_FEW`, m): the samples.
+    """
+    values = np.zeros((len(alike), *index.shape), np.uint8)
+    for k, sample in enumerate(samples):
+        turn, pixel = np.nonzero(alike == k)
+        values[turn, pixel] = sample[index[pixel]]
+    return np.asarray(middle_of(values), np.uint8)
 
 
 def _plane_index(shape: tuple[int, int]) -> I8:
@@ -246,18 +287,18 @@ def middle_of(values: NDArray[Any]) -> NDArray[Any]:
     )
 
 
-def _integrated(samples: Image) -> F4:
-    """(h, w, 3) the median of samples (n, h, w, 3); where it is uncertain, the picture integrated
-    from the median gradients.
+def _integrated(samples: Image, typical: F4, sure: Bool) -> F4:
+    """(h, w, 3) the ``typical`` picture (h, w, 3) of samples (n, h, w, 3); where it is neither
+    ``sure`` (h, w) nor that of nearly all samples, the picture integrated from the median
+    gradients.
     """
     # Imported here because it takes long, and a live source does not need it.
     from scipy.sparse import diags, eye, kron, vstack
     from scipy.sparse.linalg import cg
 
-    typical = middle_of(samples).astype(np.float32)
     values = samples.astype(np.int16)
     agree = (np.abs(values - typical).max(axis=3) <= _SAME).mean(axis=0)
-    uncertain: Bool = cv2.dilate((agree < _CERTAIN).astype(np.uint8), _RING) > 0
+    uncertain: Bool = cv2.dilate(((agree < _CERTAIN) & ~sure).astype(np.uint8), _RING) > 0
     # Without certain pixels the picture would be determined only up to a constant.
     if not uncertain.any() or uncertain.mean() > _MAX_UNCERTAIN:
         return typical

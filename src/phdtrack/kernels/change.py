@@ -28,6 +28,7 @@ from phdtrack.kernels.planes import (
     lighting,
     noise,
     quartile,
+    relit,
     smooth,
 )
 
@@ -45,6 +46,9 @@ SHARE = 0.35
 BUSY = 0.1
 NEAR = 0.33
 REACH = 3
+# What comes and goes does so in other samples each time: there are at least this share of the runs
+# that as many samples in random order would have. A person who stands is in one run.
+COMES = 0.6
 CHANNELS = 3
 # Pixels so near to the foreground count as foreground.
 MARGIN = 2
@@ -119,9 +123,9 @@ def changed(
     steps: tuple[int, int],
     cleaning: Cleaning,
     beyond: tuple[int, int],
-) -> tuple[U1, F4, F4]:
-    """The cleaned mask of the next frame, its energy as in `compare`, and its light (3, 4) as in
-    `lighting`.
+) -> tuple[U1, F4, F4, U1]:
+    """The cleaned mask of the next frame, its energy as in `compare`, its light (3, 4) as in
+    `lighting`, and the picture in the light of the reference, if there is a past.
 
     All of it in one call: a thread that runs Python beside this one delays the begin and the end of
     each call.
@@ -146,22 +150,33 @@ def changed(
     for c in range(3):
         camera[c] += (1 - _MEMORY) * (quartile(counts[c]) / _QUARTILE_OF_DIFFERENCES - camera[c])
     light = lighting(reference, image, foreground, steps[1])
-    raw, energy = compare(image, reference, light, scene, rule, camera, past)
+    level = image
+    if past.samples.shape[1]:
+        level = relit(image, light, scene.shape)
+    raw, energy = compare(image, level, reference, light, scene, rule, camera, past)
     _border(raw, beyond, 0)
     mask, near = cleaned(raw, cleaning, MARGIN)
     foreground[:] = near
     _border(foreground, beyond, 255)
-    return mask, energy, light
+    return mask, energy, light, level
 
 
 @njit(**ENTRY)
 def compare(
-    image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, camera: F8, past: Past
+    image: U1,
+    level: U1,
+    reference: F4,
+    light: F4,
+    scene: F4,
+    rule: Statistic,
+    camera: F8,
+    past: Past,
 ) -> tuple[U1, F4]:
     """(H, W) 255 for pixels of ``image`` that changed against the ``reference`` in another
     ``light``, and (H, W) the energy.
 
-    ``image``, ``reference`` (n,); ``light`` (3, 4) from `lighting`; ``scene`` (H, W): the usual
+    ``image``, ``reference`` (n,); ``level`` (n,): the image in the light of the reference;
+    ``light`` (3, 4) from `lighting`; ``scene`` (H, W): the usual
     energy, three times s; ``rule``, ``past``: see above; ``camera`` (3,): deviations of brightness
     and of colours by the camera's noise.
     """
@@ -198,7 +213,7 @@ def compare(
                 _add(column, k, 2 * reach - k, total)
             _passed(at, normal, total, limit, least, mask)
             if count:
-                _recall(image, alike, past, at, work, mask)
+                _recall(level, alike, past, at, work, mask)
     return mask, energy
 
 
@@ -489,7 +504,9 @@ def _beyond(pixel: Pixel, extremes: U1, at: tuple[int, int, int], reaches: Reach
 
 @njit(**INNER)
 def _often(count: int, similar: U1, least: float) -> bool:
-    """True if there are enough ones, ``count``, in at least `OFTEN` runs."""
+    """True if there are enough ones, ``count``, in at least `OFTEN` runs, and nearly as many runs
+    as in random order: n ones among N have n (N − n + 1) / N.
+    """
     if count < least or count < OFTEN:
         return False
     runs = 0
@@ -497,7 +514,8 @@ def _often(count: int, similar: U1, least: float) -> bool:
     for now in similar:
         runs = runs + (now > before)
         before = now
-    return runs >= OFTEN
+    size = similar.size
+    return runs >= max(OFTEN, COMES * count * (size - count + 1) / size)
 
 
 @njit(**VECTOR)

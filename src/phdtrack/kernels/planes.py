@@ -43,6 +43,9 @@ _FEWEST = 50
 _NEAR = 2.5
 _ROUNDS = 3
 _BINS = 8192
+# Two lights are the same if no gain differs by more, and no offset in grey levels.
+_SAME_GAIN = 0.01
+_SAME_OFFSET = 1.0
 # Pixels of a row that are skipped together if nothing was drawn on them, and the bits of two of
 # them.
 _STRETCH = 8
@@ -195,6 +198,96 @@ def lighting(reference: F4, image: U1, foreground: U1, step: int) -> F4:
                 out[i, j] += F(FROM_BGR[i, c] * gain * TO_BGR[c, j])
             out[i, 3] += F(FROM_BGR[i, c] * offset)
     return out
+
+
+@njit(**ENTRY)
+def relit(image: U1, light: F4, shape: tuple[int, int]) -> U1:
+    """(n,) the picture in the light of the reference, from whose light ``light`` (3, 4), as from
+    `lighting`, leads to that of ``image``; the image itself if the two are the same.
+    """
+    if _same_light(light):
+        return image
+    inverse = _inverse(light)
+    height, width = shape
+    across = (width + 1) // 2
+    out = np.empty_like(image)
+    whole = np.zeros((2, 2 * across), np.float32)
+    for y in range(height):
+        if y % 2 == 0:
+            _relit_colours(y, image, inverse, (height, width), out, whole)
+        _relit_row(y * width, width, image, inverse, whole, out)
+    return out
+
+
+@njit(**INNER)
+def _same_light(light: F4) -> bool:
+    """True if a light changes no grey level by more than about one."""
+    for i in range(3):
+        for j in range(3):
+            if abs(light[i, j] - (1 if i == j else 0)) > _SAME_GAIN:
+                return False
+        if abs(light[i, 3]) > _SAME_OFFSET:
+            return False
+    return True
+
+
+@njit(**INNER)
+def _inverse(light: F4) -> F4:
+    """(3, 4) the map back."""
+    out = np.empty((3, 4), np.float32)
+    for i in range(3):
+        for j in range(3):
+            a = light[(j + 1) % 3, (i + 1) % 3] * light[(j + 2) % 3, (i + 2) % 3]
+            b = light[(j + 1) % 3, (i + 2) % 3] * light[(j + 2) % 3, (i + 1) % 3]
+            out[i, j] = a - b
+    determinant = F(0)
+    for j in range(3):
+        determinant += light[0, j] * out[j, 0]
+    for i in range(3):
+        out[i, 3] = F(0)
+        for j in range(3):
+            out[i, j] = out[i, j] / determinant
+            out[i, 3] -= out[i, j] * light[j, 3]
+    return out
+
+
+@njit(**VECTOR)
+def _relit_colours(
+    y: int, image: U1, inverse: F4, shape: tuple[int, int], out: U1, whole: F4
+) -> None:
+    """Write the colours of two rows in another light, without the part of their brightness, and
+    both colours of each pixel of a row.
+    """
+    height, width = shape
+    across = (width + 1) // 2
+    blue = D(height * width + y // 2 * across)
+    red = blue + D((height + 1) // 2 * across)
+    row = D(y * width)
+    one = D(1)
+    middle = F(128)
+    black = F(BLACK)
+    for i in range(D(across)):
+        t = F(image[row + i + i]) - black
+        u = F(image[blue + i]) - middle
+        v = F(image[red + i]) - middle
+        a = inverse[1, 0] * t + inverse[1, 1] * u + inverse[1, 2] * v + inverse[1, 3] + middle
+        b = inverse[2, 0] * t + inverse[2, 1] * u + inverse[2, 2] * v + inverse[2, 3] + middle
+        out[blue + i] = np.uint8(min(max(a + F(0.5), F(0)), F(255)))
+        out[red + i] = np.uint8(min(max(b + F(0.5), F(0)), F(255)))
+        part = inverse[0, 1] * u + inverse[0, 2] * v
+        whole[0, i + i] = part
+        whole[0, i + i + one] = part
+
+
+@njit(**VECTOR)
+def _relit_row(start: int, width: int, image: U1, inverse: F4, whole: F4, out: U1) -> None:
+    """Write the brightness of a row in another light."""
+    first = D(start)
+    gain = inverse[0, 0]
+    offset = inverse[0, 3] + F(BLACK) - gain * F(BLACK) + F(0.5)
+    for i in range(D(width)):
+        value = gain * F(image[first + i]) + whole[0, i] + offset
+        out[first + i] = np.uint8(min(max(value, F(0)), F(255)))
 
 
 @njit(**INNER)
