@@ -188,6 +188,33 @@ def test_moving_camera_and_dark_pictures_cause_warnings() -> None:
         assert all("--detector onnx:FILE" in sentence for sentence in said)
 
 
+def test_scene_in_motion_is_not_blamed_on_the_camera() -> None:
+    """Clouds, leaves and water change most of the picture; some corners stay where they are."""
+    rng = np.random.default_rng(5)
+    ground = rng.integers(0, 256, (10, 32, 3), np.uint8).repeat(5, axis=0).repeat(5, axis=1)
+
+    def clouds(image: Image, k: int) -> None:
+        light = rng.uniform(0.3, 1.7, (7, 16)).repeat(10, axis=0).repeat(10, axis=1)
+        image[:70] = np.clip(image[:70] * light[..., None], 0, 255).astype(np.uint8)
+
+    def leaves(image: Image, k: int) -> None:
+        image[:70] = rng.integers(0, 256, (14, 32, 3)).repeat(5, axis=0).repeat(5, axis=1)
+
+    def water(image: Image, k: int) -> None:
+        waves = np.sin(np.arange(70)[:, None] / 3 + rng.uniform(0, 6, 32).repeat(5))
+        image[:70] = (128 + 100 * waves[..., None]).astype(np.uint8)
+
+    for move in (clouds, leaves, water):
+        images = [np.concatenate([scene()[:70], ground]) for _ in range(51)]
+        for k, image in enumerate(images):
+            move(image, k)
+        detector = ChangeDetector()
+        study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(images)])
+        (said,) = scene_warnings(detector)
+        assert "although the camera stands still" in said, move
+        assert "--camera-motion" not in said
+
+
 WALL = cv2.resize(
     np.random.default_rng(3).integers(60, 200, (30, 40, 3), np.uint8),
     (320, 240),

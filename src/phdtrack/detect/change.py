@@ -202,11 +202,16 @@ class ChangeDetector:
         share = self._past.differing.mean() / self._past.samples.shape[1]
         grey = GREYS * (luma(self._reference, self._shape).mean() - BLACK)
         warnings = list[str]()
-        if share > _MAX_DIFFERING:
+        changes = f"on average {100 * share:.0f} % of the picture changes"
+        if share > _MAX_DIFFERING and self.stands_still:
             warnings.append(
-                f"on average {100 * share:.0f} % of the picture changes, which suggests that the"
-                f" camera moves; this detector needs a still camera. {_TRAINED}, with"
-                " --camera-motion flow"
+                f"{changes} although the camera stands still, as clouds, trees in wind or water"
+                f" do; this detector finds objects badly there. {_TRAINED}"
+            )
+        elif share > _MAX_DIFFERING:
+            warnings.append(
+                f"{changes}, and its corners do not stay in place, which suggests that the camera"
+                f" moves; this detector needs a still camera. {_TRAINED}, with --camera-motion flow"
             )
         if grey < _MIN_GREY:
             warnings.append(
@@ -276,7 +281,8 @@ class ChangeDetector:
             if best_share > _MIN_KNOWN_POSES and shift <= _MIN_SHIFT:
                 break  # The camera stands still.
         known = best_share > _MIN_KNOWN_POSES
-        self._shaky = bool(_MIN_SHIFT < shift < _MAX_SHIFT * self._shape[1] and known)
+        self.stands_still = known and shift < _MAX_SHIFT * self._shape[1]
+        self._shaky = self.stands_still and shift > _MIN_SHIFT
         if not self._shaky:
             return pictures
         # The scene lies where most pictures show it, not where the anchor does.
@@ -385,6 +391,7 @@ class ChangeDetector:
         self._compared = luma(picture, shape).copy()
         self._compared_time = frame.time
         self._shaky = False
+        self.stands_still = False
         self._pose = STILL
         self._last_pose_time = frame.time
         self._camera: F8 = np.ones(CHANNELS)
