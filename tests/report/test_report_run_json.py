@@ -18,7 +18,7 @@ KEYS = """
 command title summary versions seed started seconds source frames frames_per_second stages tracks
 track_rows predicted_rows detection_rate detections expected_false_alarms expected_count_mean scores
 warnings notes configuration frames_left_out
-log_evidence_mean log_evidence
+log_evidence_mean log_evidence doubtful_boxes
 """
 
 

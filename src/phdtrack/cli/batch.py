@@ -17,6 +17,7 @@ from phdtrack.cli import options as given
 from phdtrack.cli.app import Misuse, parser
 from phdtrack.cli.options import one_of, option, seconds
 from phdtrack.cli.output import PACE, Output, counted, without_numbers
+from phdtrack.detect.moving_regions import BACKGROUND, reported_kind
 from phdtrack.errors import InputError, needed
 from phdtrack.parallel import Failed, on_ray, outcomes
 from phdtrack.report import write_run
@@ -124,6 +125,8 @@ def batch(
         f"  {out / ROWS}  tracks of all",
         f"  {file}  the summary",
     )
+    if any(one.get("doubtful_boxes") for one in rows):
+        output.say(reported_kind(BACKGROUND[0]))
     output.document(document)
     if failed:
         raise typer.Exit(1)

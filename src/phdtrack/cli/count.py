@@ -20,6 +20,7 @@ from phdtrack.cli.output import Output, counted
 from phdtrack.cli.track import command_line, run_and_print
 from phdtrack.clock import Clock
 from phdtrack.detect.convert import check_units
+from phdtrack.detect.moving_regions import reported_kind
 from phdtrack.errors import InputError
 from phdtrack.files import read_toml, readable_name, write_text
 from phdtrack.formats import Conventions, read_detections
@@ -166,15 +167,16 @@ def _count_known(
     frames = info.frames - known.first + 1
     tracks = counted(len(np.unique(known.tracks.identity)), "track")
     lead = f"{tracks} in {counted(frames, 'frame')}"
+    reports = reported_kind(known.detector)
     page = render(
         "counts_page.html",
         title="Counts",
         source=str(path),
-        lead=f"{lead}.",
+        lead=f"{lead}. {reports}".strip(),
         section=report.section,
     )
     write_text(directory.file(rundir.COUNTS_PAGE), page)
-    output.say(f"{lead}: {path}", "")
+    output.say(f"{lead}: {path}", *filter(None, [reports]), "")
     _print_counts(observer, output)
     _write_video(observer, directory, output, wanted=video)
     output.say("", *directory.listing())

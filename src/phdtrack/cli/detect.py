@@ -12,6 +12,7 @@ from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.config import load
 from phdtrack.detect.base import guesses
+from phdtrack.detect.moving_regions import reported_kind
 from phdtrack.errors import InputError
 from phdtrack.run import directory as rundir
 from phdtrack.run.inputs import open_inputs, write_detected
@@ -64,6 +65,8 @@ def detect(
     output.warn(warnings)
     done = f"{counted(boxes, 'box')} in {counted(frames, 'frame')} by {inputs.described}"
     output.say(f"{done}, {rate:.0f} frames per second: {file}")
+    if reports := reported_kind(inputs.described):
+        output.say(reports)
     document = {
         "source": shown(source),
         "detector": inputs.described,

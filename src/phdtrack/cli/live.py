@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +26,7 @@ from phdtrack.cli import signals
 from phdtrack.cli.options import PageOptions, option, size
 from phdtrack.cli.output import Output, counted, json_text
 from phdtrack.detect.base import class_names
+from phdtrack.detect.moving_regions import reported_kind
 from phdtrack.errors import InputError
 from phdtrack.live.camera_setup import CameraSetup
 from phdtrack.live.checkpoint import EVERY
@@ -125,13 +126,16 @@ def live(
         with suppress(queue.Full):
             lines.put_nowait(event)
 
+    reports = reported_kind(detector)
+    if reports:
+        output.say(reports)
     told = send if output.json else lambda event: None
     cameras = [
         Camera(
             name,
             LiveSource(address),
             make,
-            camera_settings(name, write, options.config, out, known),
+            replace(camera_settings(name, write, options.config, out, known), reports=reports),
             told,
         )
         for name, address in addresses.items()

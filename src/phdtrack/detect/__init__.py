@@ -11,17 +11,13 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.detect.detectors import (
-        BACKGROUND,
-        DETECTORS,
-        detector_parameters,
-        make_detector,
-    )
+    from phdtrack.detect.detectors import DETECTORS, detector_parameters, make_detector
+    from phdtrack.detect.moving_regions import BACKGROUND
     from phdtrack.detect.scene_knowledge import knowledge, restore
     from phdtrack.detect.table_detector import TableDetector
 
 _MODULES = {
-    "BACKGROUND": "detectors",
+    "BACKGROUND": "moving_regions",
     "DETECTORS": "detectors",
     "TableDetector": "table_detector",
     "detector_parameters": "detectors",

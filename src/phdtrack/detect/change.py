@@ -205,8 +205,8 @@ class ChangeDetector:
         changes = f"on average {100 * share:.0f} % of the picture changes"
         if share > _MAX_DIFFERING and self.stands_still:
             warnings.append(
-                f"{changes} although the camera stands still, as clouds, trees in wind or water"
-                f" do; this detector finds objects badly there. {_TRAINED}"
+                f"{changes} although the camera stands still, typical of clouds, trees in wind or"
+                f" water; this detector is unreliable there. {_TRAINED}"
             )
         elif share > _MAX_DIFFERING:
             warnings.append(

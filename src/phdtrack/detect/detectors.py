@@ -10,6 +10,7 @@ from phdtrack.detect.base import Detector
 from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.components import ConnectedComponents
 from phdtrack.detect.mean_background import MeanBackgroundDetector
+from phdtrack.detect.moving_regions import BACKGROUND
 from phdtrack.detect.onnx import OnnxDetector
 from phdtrack.detect.opencv import FaceDetector, Mog2Detector, PersonDetector
 from phdtrack.detect.wrappers import Masked, Rescaled
@@ -25,9 +26,6 @@ _BUILD: dict[str, Any] = {
     "person": PersonDetector,
 }
 DETECTORS = tuple(_BUILD)
-# Detectors that report connected components of what differs from the background: one object,
-# several, or a fragment of one.
-BACKGROUND = ("change", "mean-background", "mog2")
 # The prefix of a network's name; its file follows.
 _NETWORK = "onnx:"
 # Pixels on the longer side that background subtraction needs.

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from phdtrack.detect.base import Detector, ReadsPlanes
+from phdtrack.detect.base import Detector, ReadsPlanes, WrapsDetector
 from phdtrack.devices import Planar, bgr_of, planes_of, size_of
 from phdtrack.errors import InputError
 from phdtrack.files import load
@@ -103,7 +103,7 @@ class Masked:
                 where=self._where,
                 cure="Paint the region of interest white; black is ignored.",
             )
-        self._region = region != 0
+        self.region: Bool = region != 0
 
     def reset(self) -> None:
         """Reset the wrapped detector."""
@@ -119,7 +119,7 @@ class Masked:
 
     def __call__(self, frame: Frame) -> Detections:
         """The boxes found in the region of interest."""
-        rows, columns = self._region.shape
+        rows, columns = self.region.shape
         width, height = size_of(frame)
         if (width, height) != (columns, rows):
             raise InputError(
@@ -131,7 +131,7 @@ class Masked:
         corners = np.clip(np.rint(found.xyxy), 0, [columns, rows, columns, rows]).astype(np.int64)
         kept = list[bool]()
         for left, top, right, bottom in corners.tolist():
-            part = self._region[top:bottom, left:right]
+            part = self.region[top:bottom, left:right]
             kept.append(bool(part.sum() >= _MIN_SHARE_INSIDE * max(part.size, 1)))
         return found.select(np.array(kept, np.bool_))
 
@@ -147,3 +147,12 @@ def _read_mask(path: Path) -> Image:
             cure="Save the mask as a PNG file, for instance.",
         )
     return np.asarray(image, np.uint8)
+
+
+def reported_region(detector: Detector) -> Bool | None:
+    """(H, W) True where a detector with a mask reports boxes; None for one that does everywhere."""
+    while isinstance(detector, WrapsDetector):
+        if isinstance(detector, Masked):
+            return detector.region
+        detector = detector.detector
+    return None

@@ -112,6 +112,7 @@ class CameraSettings:
     parquet : hours of rows become Parquet.
     blur : ``boxes`` or ``faces`` to pixelate them in every picture; empty for nothing.
     checkpoint : seconds between checkpoints, from which a restart continues; 0 for none.
+    reports : a sentence about what the detector reports, if that is not objects.
     """
 
     folder: Path
@@ -123,6 +124,7 @@ class CameraSettings:
     parquet: bool = False
     blur: str = ""
     checkpoint: float = 0.0
+    reports: str = ""
 
 
 class Running(NamedTuple):

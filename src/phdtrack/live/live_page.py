@@ -96,6 +96,7 @@ class Page:
             "places": places,
             "drawable": one.settings.places is not None,
             "blur": one.settings.blur,
+            "reports": one.settings.reports,
             "events": list(one.recent)[-_EVENTS:][::-1],
         }
 

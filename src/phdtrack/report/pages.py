@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
+from phdtrack.detect.moving_regions import MOVING_REGIONS
 from phdtrack.files import json_value, write_text
 from phdtrack.report import charts
 from phdtrack.report.record import STAGES, RunRecord, known_mean
@@ -33,12 +34,10 @@ if TYPE_CHECKING:
 # A non-breaking space; unlike narrow ones, every legacy terminal encoding has it.
 _NBSP = "\u00a0"
 _NOT_SHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
-# Seconds below which a track is short; shares of short tracks, and of detections without a track,
-# above which tracks are doubtful (good runs have up to .2, and up to .3); the number of tracks or
-# detections that such a judgement needs.
+# Seconds below which a track is short; the share of short tracks above which tracks are doubtful
+# (good runs have up to .2), and the number of tracks that this needs.
 _SHORT_TRACK = 0.5
 _MAX_SHORT = 0.3
-_MAX_UNUSED = 0.4
 _MIN_COUNT = 5
 _STAGE_TIMES = ("mean", "median", "p95", "share")
 
@@ -84,25 +83,21 @@ def score_meanings() -> dict[str, str]:
 
 def sentences(record: RunRecord) -> tuple[str, ...]:
     """A summary of a run in a few sentences, for the report, the terminal and ``run.json``."""
-    return lines("summary.txt", record=record)
+    return lines("summary.txt", record=record, moving_regions=MOVING_REGIONS)
 
 
-def doubts(record: RunRecord, *, background: bool) -> tuple[str, ...]:
-    """A warning if the tracks of a run are probably wrong, with the cure; else empty.
+def doubts(record: RunRecord) -> tuple[str, ...]:
+    """A warning if the tracks of a run are probably wrong, with cause and cure; else empty.
 
-    Many short tracks are suspicious with any detector. Many detections without a track are so only
-    with a ``background`` detector: others report weak detections for the filter to reject.
+    Tracks of moving regions are judged by `doubtful_tracks`, others by how many are short.
     """
+    if record.doubtful is not None:
+        return lines("doubts.txt", doubtful=record.doubtful) if record.doubtful.warn else ()
     lengths = record.lifetimes
     if len(lengths) >= _MIN_COUNT:
         short = float((lengths < _SHORT_TRACK * record.info.fps).mean())
         if short > _MAX_SHORT:
-            return lines("doubts.txt", short=short, count=len(lengths))
-    whole = record.whole
-    if background and whole.detections >= _MIN_COUNT:
-        unused = 1 - (whole.rows - whole.predicted) / whole.detections
-        if unused > _MAX_UNUSED:
-            return lines("doubts.txt", short=0.0, unused=unused)
+            return lines("doubts.txt", doubtful=None, short=short, count=len(lengths))
     return ()
 
 
@@ -122,7 +117,8 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
     tracking, drawing), except the ``frames_left_out`` in which kernels were compiled or loaded; it
     means the same in the report and on the terminal. ``stages`` are milliseconds per frame; their
     sum may exceed the time per frame because stages overlap. ``log_evidence`` has one value per
-    frame, null if the filter has none.
+    frame, null if the filter has none. ``doubtful_boxes`` holds shares from 0 to 1, see
+    `DoubtfulTracks`; null if the detector reports objects, not moving regions.
     """
     about = record.about
     info = record.info
@@ -157,6 +153,7 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "frames_left_out": about.left_out,
         "log_evidence_mean": known_mean(record.log_evidence),
         "log_evidence": record.log_evidence,
+        "doubtful_boxes": record.doubtful,
     }
     return {key: json_value(value) for key, value in document.items()}
 

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from phdtrack.arrays import pixelated
+from phdtrack.report.doubtful_tracks import DoubtfulTracks
 from phdtrack.types import F8, I8, Frame, Image, SequenceInfo, Step, Tracks, Truth
 
 STAGES = ("detect", "filter", "extract", "associate")
@@ -134,6 +135,8 @@ class RunRecord:
     whole : counts of the whole run.
     track_count : (F,) tracks in each frame; online ones if the source has no end.
     names : names of the classes; None without classes.
+    doubtful : how many boxes are in doubtful tracks; None if the detector reports objects, not
+        moving regions.
     """
 
     info: SequenceInfo
@@ -151,6 +154,7 @@ class RunRecord:
     whole: Whole
     track_count: I8
     names: Mapping[int, str] | None = None
+    doubtful: DoubtfulTracks | None = None
 
     def __len__(self) -> int:
         return len(self.numbers)

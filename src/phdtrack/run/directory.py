@@ -88,6 +88,7 @@ class RunTracks(NamedTuple):
     info : the sequence, 0 and "" for what is unknown; its ``frames`` are the number of the last.
     source : the video; empty if unknown.
     first : the first frame that was tracked.
+    detector : the detector of the run; empty if unknown, or if the detections are from a file.
     """
 
     tracks: Tracks
@@ -95,6 +96,7 @@ class RunTracks(NamedTuple):
     info: SequenceInfo
     source: str
     first: int = 1
+    detector: str = ""
 
 
 def is_run(path: Path) -> bool:
@@ -131,11 +133,13 @@ def read_run_tracks(
     info = find_seqinfo(path) or SequenceInfo(0, 0, 0.0)
     source = ""
     first = 1
+    detector = ""
     if run.is_file():
         document = read_json(run, load(run))
         try:
             known = document["source"]
             source = document["input"].get("source", "")
+            detector = str(document["input"].get("detector", ""))
             first = int(document["input"].get("frames", "").partition("-")[0] or 1)
             last = first - 1 + document["frames"]
             info = SequenceInfo(known["width"], known["height"], known["fps"], last, known["name"])
@@ -143,7 +147,7 @@ def read_run_tracks(
             raise InputError(
                 f"expected the run.json of a run, and it has no {error}", where=run
             ) from None
-    return RunTracks(tracks, names, info, source, first)
+    return RunTracks(tracks, names, info, source, first, detector)
 
 
 def run_clock(folder: Path, fps: float, video: Clock | None = None) -> Clock:

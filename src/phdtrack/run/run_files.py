@@ -86,6 +86,7 @@ class RunFiles:
         if self._corrected:
             self._append(self._corrected, rows)
         self._progress.recorder.count(rows)
+        self._progress.judge(rows)
         if any(observer.all_tracks for observer in self._run.observers):
             self._progress.final.append(rows)
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phdtrack.detect import BACKGROUND
 from phdtrack.detect.scene_knowledge import scene_warnings
 from phdtrack.files import write_text
 from phdtrack.report import report_html, run_document, sentences, write_run
@@ -67,11 +66,12 @@ def write_report(
     options = run.options
     scores = scored.scores
     record = replace(progress.recorder.record(tracks, options.about), names=run.names)
+    if progress.signs is not None:
+        record = replace(record, doubtful=progress.signs.result())
     confirmed = _confirmation(run, progress)
-    background = run.inputs.described in BACKGROUND
     wrong = scene_warnings(run.inputs.detector)
-    if not wrong and (scores is None or scores.MOTA < GOOD_MOTA):
-        wrong = doubts(record, background=background)
+    if scores is None or scores.MOTA < GOOD_MOTA:
+        wrong = (*wrong, *doubts(record))
     about = replace(
         options.about,
         seconds=seconds[0],

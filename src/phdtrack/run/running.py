@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from phdtrack.models import PlaneSensor
 from phdtrack.multiclass import ClassSettings
 from phdtrack.protocols import Sensor
 from phdtrack.report import About, Recorder
+from phdtrack.report.doubtful_tracks import TrackSigns
 from phdtrack.run.camera_motion import Mover
 from phdtrack.run.detection_log import source_of
 from phdtrack.run.directory import RunDirectory
@@ -125,6 +126,27 @@ class FrameSummary(NamedTuple):
         return cls(step.number, step.time, step.detections, info.mass, info.clutter_probability)
 
 
+def used_boxes(rows: Tracks, summaries: Iterable[FrameSummary]) -> F8:
+    """(M, 4) the boxes of the detections that rows (M,) rest on; NaN for predicted rows, and for
+    frames without a summary.
+    """
+    known = list(summaries)
+    counts = [len(summary.detections) for summary in known]
+    boxes = np.concatenate([np.zeros((0, 4)), *(summary.detections.xyxy for summary in known)])
+    number = np.repeat(np.array([summary.number for summary in known], np.int64), counts)
+    row = np.concatenate([np.zeros(0, np.int64), *(summary.detections.row for summary in known)])
+    # Frames and rows ascend, so that one number orders both.
+    width = max(row.max(initial=0), rows.detection.max(initial=0)) + 1
+    keys = number * width + row
+    wanted = rows.frame * width + rows.detection
+    place = np.searchsorted(keys, wanted)
+    found = (rows.detection >= 0) & (place < len(keys))
+    found[found] = keys[place[found]] == wanted[found]
+    used = np.full((len(rows), 4), np.nan)
+    used[found] = boxes[place[found]]
+    return used
+
+
 @dataclass(slots=True)
 class Progress:
     """The progress of a run.
@@ -145,6 +167,7 @@ class Progress:
     resumed : the frame that the run continued from; 0 for a run from the beginning.
     reused : whether the detections are those of an earlier run.
     shakes : whether the detector reported that the camera shakes.
+    signs : judges tracks of moving regions; None if the detector reports objects.
     """
 
     tracker: Tracker
@@ -162,6 +185,12 @@ class Progress:
     resumed: int = 0
     reused: bool = False
     shakes: bool = False
+    signs: TrackSigns | None = None
+
+    def judge(self, rows: Tracks) -> None:
+        """Judge further corrected rows, if the detector reports moving regions."""
+        if self.signs is not None:
+            self.signs.add(rows, used_boxes(rows, self.summaries))
 
     @contextmanager
     def writing(self) -> Iterator[None]:

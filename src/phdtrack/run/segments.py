@@ -21,6 +21,7 @@ from phdtrack.clock import Clock
 from phdtrack.files import load, read_json
 from phdtrack.formats.write import Lines
 from phdtrack.metrics.matching import above, assign
+from phdtrack.report.doubtful_tracks import DoubtfulTracks
 from phdtrack.run import directory as rundir
 from phdtrack.run.run_report import finish_document
 from phdtrack.types import F8, I8
@@ -197,8 +198,17 @@ def _document(
         "input": {name: value for name, value in runs[0]["input"].items() if name != "frames"},
         "seconds": sum(run["seconds"] for run in runs),
         "warnings": list(dict.fromkeys(warnings)),
+        "doubtful_boxes": _doubtful([run.get("doubtful_boxes") for run in runs]),
         "segments": [{**part._asdict(), "directory": str(folder)} for part, folder in parts],
     }
+
+
+def _doubtful(parts: Sequence[Any]) -> Any:
+    """The doubtful boxes of all segments, each weighted by its boxes; None if one is not judged."""
+    if None in parts:
+        return None
+    judged = [DoubtfulTracks(**part) for part in parts]
+    return DoubtfulTracks.pooled(judged)
 
 
 def _within(path: Path, begin: int, end: float, *, header: bool) -> Iterator[str]:

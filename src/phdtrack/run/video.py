@@ -16,11 +16,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from numba.core import event
 
+from phdtrack.detect import BACKGROUND
+from phdtrack.detect.wrappers import reported_region
 from phdtrack.errors import InputError, needed
 from phdtrack.files import return_memory
 from phdtrack.formats import TracksWriter
 from phdtrack.multiclass import ClassSettings
 from phdtrack.report import Recorder
+from phdtrack.report.doubtful_tracks import TrackSigns
 from phdtrack.run import directory as rundir
 from phdtrack.run.annotated_video import as_interrupt, draw_videos
 from phdtrack.run.detection_log import DetectionLog
@@ -127,6 +130,8 @@ def _run(run: Run, advance: Advance) -> RunResult:
     for observer in run.observers:
         with progress.writing():
             observer.finish(run.directory, final)
+    if run.inputs.again:
+        progress.judge(tracks)
     scored = score_run(run, progress, tracks)
     if run.options.video:
         draw_videos(run, progress, tracks, advance)
@@ -153,6 +158,8 @@ def _track(run: Run, advance: Advance) -> Progress:
     charted = None if inputs.again else CHARTED
     recorder = Recorder(inputs.info, options.truth, charted, options.blur)
     progress = Progress(tracker, recorder, [] if inputs.again else deque(maxlen=SAMPLE))
+    if inputs.described in BACKGROUND:
+        progress.signs = TrackSigns(inputs.info, reported_region(inputs.detector))
     log = _detection_log(run)
     if log is not None:
         progress.resumed = log.number
@@ -217,6 +224,8 @@ class _Record:
             detected.frame if self._pictures else None, tracked.step, detected.seconds
         )
         progress.summaries.append(FrameSummary.of(tracked))
+        if progress.signs is not None:
+            progress.signs.see(tracked.step.number)
         progress.frames += 1
         progress.shakes = progress.shakes or len(detected.pose) > 0
 

@@ -179,7 +179,7 @@ class BatchVideo:
         if self.rows is not None:
             fps = document["source"]["fps"]
             write_rows(self.name, self.folder, self.rows, fps, self._video_clock())
-        names = ("frames", "tracks", "track_rows", "seconds", "warnings")
+        names = ("frames", "tracks", "track_rows", "seconds", "warnings", "doubtful_boxes")
         result = {name: document[name] for name in names}
         write_run(self.folder / DOCUMENT, {"digest": self.digest, "result": result})
         return result

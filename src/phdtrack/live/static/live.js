@@ -108,6 +108,7 @@ function source() {
     if (k === 0) right.prepend(element("i", { class: known.state }));
     return [element("dt", {}, what), right];
   }));
+  $("reports").textContent = known.reports;
   $("problems").replaceChildren(...known.problems.map((sentence) => element("li", {}, sentence)));
 }
 
