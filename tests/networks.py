@@ -97,11 +97,13 @@ def found(g: Graph, x: str) -> dict[str, str]:
     return {"corners": corners, "centred": centred, "again": again, "there": there, **shares}
 
 
-def heads(g: Graph, layout: str, x: str) -> dict[str, tuple[str, str, int]]:
-    """Name, node, type and number of axes of each output."""
+def heads(g: Graph, layout: str, x: str, classes: int = 3) -> dict[str, tuple[str, str, int]]:
+    """Name, node, type and number of axes of each output; those with a score of each class have so
+    many, of which only the first three are ever above 0.
+    """
     f = found(g, x)
     score = g("Mul", f["there"], np.array([[[0.9], [0.8], [0.7]]]))
-    table = g("Mul", score, np.eye(3)[None])
+    table = g("Mul", score, np.eye(3, classes)[None])
     kind = g("Add", g("Mul", score, 0.0), np.array([[[0.0], [1.0], [2.0]]]))
     flat = g("Squeeze", score, [2])
     label = g("Cast", g("Squeeze", kind, [2]), to=TensorProto.INT64)
@@ -117,7 +119,9 @@ def heads(g: Graph, layout: str, x: str) -> dict[str, tuple[str, str, int]]:
         more = [f["there"]] if layout == "yolov5" else []
         first = g("Concat", f["centred"], *more, table, axis=2)
         second = g("Concat", f["again"], *more, g("Mul", table, 0.9), axis=2)
-        rows = g("Pad", g("Concat", first, second, axis=1), [0, 0, 0, 0, PADDING, 0])
+        # A network has more boxes than classes.
+        padding = max(PADDING, 3 * classes)
+        rows = g("Pad", g("Concat", first, second, axis=1), [0, 0, 0, 0, padding, 0])
         return {"output0": (rows if more else g("Transpose", rows, perm=[0, 2, 1]), "float", 3)}
     if layout == "end2end":
         return {"output0": (g("Concat", f["corners"], score, kind, axis=2), "float", 3)}
@@ -228,8 +232,11 @@ def write(
     kind: str = "float",
     metadata: Mapping[str, str] | None = None,
     outputs: str = "",
+    classes: int = 3,
 ) -> Path:
-    """A network file; ``outputs`` is the type of the outputs, where it is not float."""
+    """A network file; ``outputs`` is the type of the outputs, where it is not float, ``classes``
+    how many a network with scores of all classes has.
+    """
     g = Graph()
     x = "images"
     x = g("Cast", x, to=TensorProto.FLOAT) if kind != "float" else x
@@ -244,7 +251,7 @@ def write(
         x = g("Gather", g("Mul", x, 1 / 255), [2, 1, 0], axis=1)
     made = []
     given = [helper.make_tensor_value_info("images", TYPES[kind], shape)]
-    for name, (node, what, axes) in heads(g, layout, x).items():
+    for name, (node, what, axes) in heads(g, layout, x, classes).items():
         what = outputs if outputs and what == "float" else what
         g.nodes.append(helper.make_node("Cast", [node], [name], to=TYPES[what]))
         made.append(

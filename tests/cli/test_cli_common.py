@@ -177,6 +177,15 @@ def test_presets_in_the_help_are_all_there_are() -> None:
         assert re.search(rf"(?<![\w-]){preset}[,.]", said)
 
 
+def test_help_of_track_shows_how_to_export_a_network() -> None:
+    lines = phdtrack("track", "--help").out.splitlines()
+    at = lines.index("    yolo export model=yolo11n.pt format=onnx")
+    assert "--detector onnx:yolo11n.onnx --classes person,car" in lines[at + 1]
+    assert "moving regions are tracked: counts are approximate" in " ".join(
+        " ".join(lines[:at]).split()
+    )
+
+
 def test_the_help_of_live_says_when_a_camera_is_unhealthy() -> None:
     assert "--unhealthy-after" in phdtrack("live", "--help").out
 

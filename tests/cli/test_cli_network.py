@@ -105,6 +105,51 @@ def test_guess_about_the_outputs_is_reported_once(work: Path) -> None:
     assert "read as final boxes" in document["warnings"][0]
 
 
+@pytest.mark.parametrize(
+    ("layout", "classes", "red", "blue"),
+    # COCO's own numbers count from 1, with gaps: 0 has no name.
+    [
+        ("yolov8", 80, "person", "car"),
+        ("yolov5", 80, "person", "car"),
+        ("rfdetr", 91, "0", "bicycle"),
+    ],
+)
+def test_classes_without_names_are_those_of_coco(
+    work: Path, layout: str, classes: int, red: str, blue: str
+) -> None:
+    networks.write(work / "coco.onnx", layout, classes=classes)
+    document = track(detector="onnx:coco.onnx")
+    assert f"its {classes} classes are called as in COCO" in " ".join(document["warnings"])  # type: ignore[arg-type]
+    assert f"2 objects ({red} 1, {blue} 1)" in document["summary"][0]  # type: ignore[index]
+    track("--overwrite", "--classes", blue, detector="onnx:coco.onnx")
+    found = {line.split(",")[12] for line in Path("run/tracks.csv").read_text().splitlines()}
+    assert found == {blue}
+
+
+def test_names_of_the_file_or_of_nobody_are_no_guess(work: Path) -> None:
+    named = {"names": str({k: f"kind {k}" for k in range(80)})}
+    networks.write(work / "named.onnx", metadata=named, classes=80)
+    networks.write(work / "few.onnx", classes=7)
+    for file, objects in (("named", "kind 0 1, kind 2 1"), ("few", "0 1, 2 1")):
+        document = track("--overwrite", detector=f"onnx:{file}.onnx")
+        assert "COCO" not in " ".join(document["warnings"])  # type: ignore[arg-type]
+        assert f"2 objects ({objects})" in document["summary"][0]  # type: ignore[index]
+
+
+@pytest.mark.parametrize("name", ["net.pt", "onnx:net.pt", "onnx:net.PTH", "net.safetensors"])
+def test_weights_in_place_of_a_network_are_told_to_be_exported(work: Path, name: str) -> None:
+    (work / name.removeprefix("onnx:")).write_bytes(b"PK weights")
+    said = refused("track", "clip.mp4", "--detector", name, "--out", "x")
+    assert "yolo export model=net." in said
+    assert "--detector onnx:net.onnx" in said
+
+
+def test_unknown_class_of_many_suggests_the_nearest(work: Path) -> None:
+    networks.write(work / "coco.onnx", classes=80)
+    network = ("track", "clip.mp4", "--detector", "onnx:coco.onnx", "--out", "x")
+    assert "Did you mean person?" in refused(*network, "--classes", "persn")
+
+
 def test_every_command_takes_a_network(work: Path) -> None:
     network = ("clip.mp4", "--detector", "onnx:net.onnx")
     assert (

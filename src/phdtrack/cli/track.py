@@ -22,6 +22,15 @@ def track(
 ) -> None:
     """Track the objects in a video, or in a file of detections.
 
+    Without a network or a file, moving regions are tracked: counts are approximate. Better, and
+    with the names of classes, is a network, exported once:
+
+    \b
+      yolo export model=yolo11n.pt format=onnx
+      phdtrack track VIDEO --detector onnx:yolo11n.onnx --classes person,car
+
+    RF-DETR: model.export() in Python. Other networks: docs/how-to/own-detector.md.
+
     The run's directory holds tracks.csv (MOTChallenge), detections.csv, states.csv, annotated.mp4,
     report.html and run.json. A video that is cut short is tracked as far as it goes, with a
     warning. Ctrl-C saves partial results; --resume continues, also after a run was killed.

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping
 from phdtrack.config.build import build
 from phdtrack.config.sections import ClassOptions, Label
 from phdtrack.config.settings import Settings, Values, overlay
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, did_you_mean
 from phdtrack.multiclass import ClassSettings
 from phdtrack.types import SequenceInfo
 
@@ -133,9 +133,9 @@ def _number_of(
         found = int(word)
     there = names if present is None else present
     if found is None or (present is not None and found not in there):
-        known = ", ".join(names.get(number, str(number)) for number in sorted(there))
+        known = [names.get(number, str(number)) for number in sorted(there)]
         if known:
-            cure = f"There are {known}."
+            cure = did_you_mean(word.lower(), known)
         else:
             cure = "Say what the numbers stand for: classes.names, from class 0 on."
         raise InputError(f"there is no class {word} in these detections", where=where, cure=cure)

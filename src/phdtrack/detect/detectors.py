@@ -11,7 +11,7 @@ from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.components import ConnectedComponents
 from phdtrack.detect.mean_background import MeanBackgroundDetector
 from phdtrack.detect.moving_regions import BACKGROUND
-from phdtrack.detect.onnx import OnnxDetector
+from phdtrack.detect.onnx import OnnxDetector, export_cure
 from phdtrack.detect.opencv import FaceDetector, Mog2Detector, PersonDetector
 from phdtrack.detect.wrappers import Masked, Rescaled
 from phdtrack.errors import InputError, did_you_mean
@@ -65,6 +65,7 @@ def detector_parameters(name: str) -> dict[str, Any]:
         )
         if name.endswith(".onnx"):
             cure = f"Use {_NETWORK}{name}"
+        cure = export_cure(Path(name)) or cure
         raise InputError(f"there is no detector {name!r}", cure=cure)
     known = {field.name: field.default for field in fields(_BUILD[name])}
     if known.pop("blobs", None):

@@ -81,6 +81,8 @@ _PIXEL_WORDS: Mapping[str, str] = {
 }
 # Confident boxes of one frame, of which most may not have right left of left.
 _MIN_BOXES_TO_JUDGE = 3
+# Endings of files with weights that need their own package.
+_WEIGHTS = (".pt", ".pth", ".ckpt", ".safetensors")
 # Numbers of COCO's categories that the 80 classes leave out, of networks that count to 90.
 _COCO_GAPS = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)
 
@@ -176,10 +178,11 @@ class OnnxDetector:
             )
         self.output_layout = unbatched()
         self.output_layout = self._recognised(metadata)
-        self._sentences = tuple(self._guesses())
-        self._untold = list(self._sentences)
-        if not self.class_names:
+        named = bool(self.class_names)
+        if not named:
             self.class_names = _coco_names(self.output_layout.classes)
+        self._sentences = tuple(self._guesses(named=named))
+        self._untold = list(self._sentences)
         words = [word.strip() for word in self.classes.split(",")]
         self._wanted = [self._class_id(word) for word in words if word]
         _LOG.info(self._description())
@@ -427,14 +430,19 @@ class OnnxDetector:
             f" in {shape}, {order} first, {pixels}."
         )
 
-    def _guesses(self) -> Iterator[str]:
-        """Sentences about what was guessed, given the class names of the metadata."""
-        named = len(self.class_names)
+    def _guesses(self, *, named: bool) -> Iterator[str]:
+        """Sentences about what was guessed; ``named``: whether the metadata name the classes."""
+        names = len(self.class_names)
         scored = self.output_layout.classes
-        if named and scored and named != scored:
+        if named and scored and names != scored:
             yield (
-                f"{self.file}: the metadata name {named} classes, but boxes have scores of"
+                f"{self.file}: the metadata name {names} classes, but boxes have scores of"
                 f" {scored}, so that the names may be wrong. Give them by classes.names."
+            )
+        if names and not named:
+            yield (
+                f"{self.file}: the file names no classes; its {scored} classes are called as in"
+                " COCO (person, bicycle, car, …) unless classes.names gives other names."
             )
         if self.output_layout.guessed:
             yield f"{self._description()} This is a guess. {_OTHER_LAYOUT}"
@@ -529,8 +537,19 @@ def _opened(path: Path, threads: int) -> Any:
         raise InputError(
             f"onnxruntime {runtime.__version__} cannot run this network: {_reason(error)}",
             where=path,
-            cure="Is it an ONNX file, and complete?",
+            cure=export_cure(path) or "Is it an ONNX file, and complete?",
         ) from error
+
+
+def export_cure(path: Path) -> str:
+    """How to export the weights in a file to ONNX; empty if its name is not one of weights."""
+    if path.suffix.lower() not in _WEIGHTS:
+        return ""
+    made = path.with_suffix(".onnx")
+    return (
+        f"These are weights: export them to ONNX once (Ultralytics: yolo export model={path}"
+        f" format=onnx; RF-DETR: model.export()), then --detector onnx:{made}"
+    )
 
 
 def _reason(error: Exception) -> str:
