@@ -137,7 +137,7 @@ def test_rows_in_parts_give_the_same_as_all_at_once() -> None:
     assert whole.tracks == 8
     assert 0 < whole.share < 1
     # Tracks that have ended are forgotten, except for their counts.
-    assert len(signs._tracks) < 8
+    assert signs.active < 8
 
 
 def test_used_boxes_are_those_of_the_detections() -> None:

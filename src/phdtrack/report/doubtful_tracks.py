@@ -92,7 +92,7 @@ class DoubtfulTracks:
 
 @dataclass(slots=True)
 class _Track:
-    """What is known of a track so far.
+    """Figures of a track so far.
 
     Attributes
     ----------
@@ -192,6 +192,11 @@ class TrackSigns:
         # Number of boxes in tracks that have ended: all, with any sign, and with each of the signs.
         self._ended = np.zeros(5, np.int64)
         self._ended_tracks = 0
+
+    @property
+    def active(self) -> int:
+        """Number of tracks that have not ended yet."""
+        return len(self._tracks)
 
     def see(self, number: int) -> None:
         """Note that the frame with this number was tracked."""
