@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from experiments.common import table
+from phdtrack.errors import InputError
 from phdtrack.files import load, read_json
 from phdtrack.report.doubtful_tracks import DOUBTFUL, DoubtfulTracks
 from phdtrack.run.directory import RUN
@@ -54,13 +55,23 @@ class JudgedRun:
         name, kind : the video, and the kind of its scene.
         run : its directory, or the JSON of ``phdtrack track --json``.
         mota : of its tracks; None: the score in the run's JSON (``--truth``).
+
+        Raises
+        ------
+        InputError : the run does not judge its tracks: its detections are from a file, or from a
+            detector of objects.
         """
         if isinstance(run, Path):
             run = read_json(run / RUN, load(run / RUN))
         if mota is None:
             mota = float(run["scores"]["MOTA"])
-        doubtful = DoubtfulTracks(**run["doubtful_boxes"])
-        return cls(name, kind, str(run["input"]["detector"]), mota, doubtful)
+        detector = str(run["input"].get("detector", "detections from a file"))
+        found = run["doubtful_boxes"]
+        if found is None:
+            raise InputError(
+                f"expected a run with a background detector, got one with {detector}", where=name
+            )
+        return cls(name, kind, detector, mota, DoubtfulTracks(**found))
 
     def verdict(self, threshold: float = DOUBTFUL) -> str:
         """``missed`` or ``false warning`` if the judgement is wrong, else ``right``, or ``either``

@@ -17,6 +17,7 @@ from experiments.doubt import (
     error_table,
     left_out,
 )
+from phdtrack.errors import InputError
 from phdtrack.report.doubtful_tracks import DoubtfulTracks
 
 
@@ -66,6 +67,9 @@ def test_run_is_read_from_its_folder_or_its_json(tmp_path: Path) -> None:
     found = JudgedRun.of("a", "street", tmp_path)
     assert found == JudgedRun.of("a", "street", document, 0.25)
     assert (found.detector, found.mota, found.doubtful.share) == ("mog2", 0.25, 0.5)
+    objects = document | {"input": {"detections": "det.txt"}, "doubtful_boxes": None}
+    with pytest.raises(InputError, match="got one with detections from a file"):
+        JudgedRun.of("a", "street", objects)
 
 
 def test_tables_have_a_row_for_each_run_worst_first() -> None:
