@@ -89,6 +89,9 @@ def test_a_camera_that_dies_returns_and_freezes(tmp_path: Path) -> None:
     assert took < 60
     document = json.loads((out / "run.json").read_text())
     assert document["complete"] is False
+    # Tracks are judged as their rows become final.
+    assert document["doubtful_boxes"]["boxes"] == document["track_rows"] > 0
+    assert document["doubtful_boxes"]["tracks"] == document["tracks"]
     video = list(open_source(out / "annotated.mp4"))
     assert len(video) == document["frames"] > 50
     # At most ten of the forty were under way when the camera returned; the others were sent a tenth
