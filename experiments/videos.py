@@ -3,9 +3,9 @@
 PETS09-S2L1 with three detectors, TUD-Campus and CAVIAR's shop corridor with two, rendered scenes
 with moving leaves and light with the change detector; defaults for all. Also three videos whose
 truth is masks of the moving regions, scored by `bench/score_masks.py` next to the real sequences.
-Finally the contribution of each part of the change detector: the same without that part. The run
-directories are kept under runs/videos/ for inspection. They are made again each time, except for
-the detections.
+Then the contribution of each part of the change detector: the same without that part; and all
+videos with boxes by kind of scene (`experiments.video_kinds`). The run directories are kept under
+runs/videos/ for inspection. They are made again each time, except for the detections.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 
 from experiments.common import ROOT, Options, in_parallel, need_data, table, write
+from experiments.video_kinds import kinds_tables
 from phdtrack.config.presets import usual_preset
 from phdtrack.detect import make_detector
 from phdtrack.detect.base import Detector
@@ -319,9 +320,8 @@ def main(options: Options) -> Path:
         in_parallel(shaken, jolts, "shaken", options),
     )
     parts = _parts(videos, options, runs)
-    return write(
-        "videos", options, table=table(header, rows), masks=moving, shaking=shaking, parts=parts
-    )
+    tables = {"table": table(header, rows), "masks": moving, "shaking": shaking, "parts": parts}
+    return write("videos", options, **tables, **kinds_tables(options, runs))
 
 
 def _parts(videos: Sequence[Video], options: Options, runs: Path) -> str:

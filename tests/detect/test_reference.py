@@ -12,6 +12,7 @@ from phdtrack.detect.base import pose_of
 from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
 from phdtrack.detect.scene_knowledge import knowledge, restore, scene_warnings, study
+from phdtrack.detect.scene_light import SceneLight
 from phdtrack.detect.scene_samples import sample_history
 from phdtrack.detect.wrappers import Rescaled
 from phdtrack.devices import Planar, planes_of
@@ -132,13 +133,14 @@ def test_scene_noise_is_the_median_energy(height: int, width: int) -> None:
     detector = ChangeDetector()
     ramp = np.linspace(60, 180, width)[None, :, None] + np.zeros((height, 1, 3))
     samples = [
-        np.clip(ramp + rng.normal(0, 3, ramp.shape), 0, 255).astype(np.uint8) for _ in range(9)
+        np.clip(ramp + rng.normal(0, 6, ramp.shape), 0, 255).astype(np.uint8) for _ in range(9)
     ]
     study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(samples)])
     pictures = [planes_of(image) for image in samples]
     for one in pictures:
         smooth(one, (height, width))
-    energies = np.stack([detector.compared(one)[1] for one in pictures])
+    light = SceneLight((height, width), round((height * width / 2000) ** 0.5))
+    energies = np.stack([detector.compared(one)[1] for one in light.levelled(pictures)])
     typical = (np.median(energies, axis=0) / np.float32(0.789)).astype(np.float32)
     usual = np.minimum(cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8)), 60)
     np.testing.assert_allclose(detector.knowledge()["scene"], usual, rtol=1e-5)

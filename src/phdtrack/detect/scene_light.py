@@ -68,9 +68,13 @@ class SceneLight:
         return [relit(*one, self._shape) for one in zip(even, lights, strict=True)]
 
     def even(self, picture: Image, reference: F4, foreground: Image) -> Image:
-        """(n,) a picture (n,) as if all of the scene followed the light.
+        """(n,) a picture as if all of the scene followed the light.
 
-        ``reference`` (n,): the scene; ``foreground`` (H, W): not 0 where objects hide it.
+        Parameters
+        ----------
+        picture : (n,) its planes.
+        reference : (n,) the scene.
+        foreground : (H, W) not 0 where objects hide it.
         """
         if self._response is None:
             return picture
