@@ -230,8 +230,17 @@ class Model:
         seconds = max(dt / (self.rate * self.pace), self.births_before)
         if seconds <= 1.0:
             return seconds
-        leaving = max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)
+        leaving = self._leaving
         return 1.0 + (math.exp(-leaving) - math.exp(-leaving * seconds)) / leaving
+
+    def survival(self, dt: float) -> float:
+        """The probability that a target is still there after ``dt`` by the clock."""
+        return math.exp(-self._leaving * dt / (self.rate * self.pace))
+
+    @property
+    def _leaving(self) -> float:
+        """How many times a second a target leaves."""
+        return max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)
 
     def warp_states(self, x: F8) -> F8:
         """(d, L) states of the frame before, in the pixels of this one."""

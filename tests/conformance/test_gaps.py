@@ -4,6 +4,7 @@ those born stayed.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -99,3 +100,6 @@ def test_birth_seconds_are_the_integral_of_survival(survival: float) -> None:
         at = np.linspace(1.0, seconds, 200_001)
         wanted = 1.0 + np.trapezoid(life**at, at)
         assert model.birth_seconds(25.0 * seconds) == pytest.approx(wanted, rel=1e-4)
+        assert model.survival(25.0 * seconds) == pytest.approx(life**seconds)
+        slower = replace(model, pace=0.2)
+        assert slower.survival(5.0 * seconds) == pytest.approx(life**seconds)

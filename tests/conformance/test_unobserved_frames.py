@@ -124,6 +124,41 @@ def test_unobserved_frames_are_as_frames_left_out(kind: str, camera: str) -> Non
         check_same(numbered, replace(slower, frame=1 + EVERY * (slower.frame - 1)))
 
 
+def test_what_a_stream_teaches_of_births_and_clutter_is_the_same() -> None:
+    """However the frames between are left out."""
+    taught = []
+    for fps, updates in ((25.0, left_out(STILL)), (25.0, unobserved(STILL)), (5.0, slow(STILL))):
+        tracker = tracker_of("pmb", fps)
+        fed(tracker, updates)
+        state = tracker.state
+        scores = state.detection_scores
+        taught.append([state.intensity.hidden, *scores.near, *scores.near_alone, *scores.alone])
+    np.testing.assert_allclose(taught[1], taught[0], rtol=1e-9)
+    np.testing.assert_allclose(taught[2], taught[0], rtol=1e-9)
+    assert taught[0][0] > 0
+
+
+@pytest.mark.parametrize("mark", ["left out", "unobserved"])
+def test_slow_detectors_show_objects_at_the_second_detection(mark: str) -> None:
+    """Walkers at 25 frames a second, of whom the detector sees every 14th frame; most of them were
+    not there in the first one.
+    """
+    rng = np.random.default_rng(2)
+    tracker = Tracker((1920, 1080), fps=25)
+    shown = []
+    for k in range(0, 14 * 5, 14):
+        x = np.array([200, 600, 1000, 1400]) + 1.5 * k
+        found = np.stack([x, 0 * x + 300, x + 60, 0 * x + 460], axis=1)
+        found += rng.normal(0, 2, found.shape)
+        begun = 1 if k == 0 else 4
+        rows = tracker.update(found[:begun], 1 + k)
+        shown.append(len(rows))
+        if mark == "unobserved":
+            for between in range(1, 14):
+                tracker.update(UNSEEN, 1 + k + between)
+    assert shown[2:] == [4, 4, 4]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_unobserved_frames_under_a_turning_camera(kind: str) -> None:
     numbered, corrected = fed(tracker_of(kind), left_out(TURNING))

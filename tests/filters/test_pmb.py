@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mht_cases import RNG, boxes, run, scene, told, walk
 from pmb_cases import PLAIN, world
+from scipy.linalg import expm
 
 from phdtrack import config
 from phdtrack.filters import PMB
@@ -32,6 +33,42 @@ def test_misses_in_a_row_are_believed_where_targets_get_hidden():
     assert waiting > 0.5
     state, _ = run(replace(PMB(), mean_visible_time=1.0, mean_occluded_time=2.0), scans, model)
     assert told(state, model).tag.tolist() == [0]
+
+
+@pytest.mark.parametrize("before", [0.0, 60.0])
+@pytest.mark.parametrize("name", ["steady", "uneven"])
+def test_births_that_stay_hidden_are_a_markov_chain(name: str, before: float):
+    """λ⁺ after each interval, against the chain's matrix exponential: births are in its
+    equilibrium, and what is visible is no longer undetected.
+    """
+    settings = replace(PLAIN, mean_visible_time=2.0, mean_occluded_time=0.5)
+    model = world(clutter=1e-6, birth=1e-7, survival=0.97)
+    steps = [1.0] * 8 if name == "steady" else [1.0, 30.0, 0.5, 7.0, 100.0, 2.0]
+    leave = -25.0 * np.log(0.97)
+    chain = np.array([[-1 / 2.0, 1 / 2.0], [1 / 0.5, -1 / 0.5]]) - leave * np.eye(2)
+    equilibrium = np.array([0.8, 0.2])
+    state = settings.start(model, RNG)
+    unseen = np.zeros(2)
+    for k, dt in enumerate(steps):
+        now = replace(model, births_before=0.0 if k else before)
+        unseen = unseen @ expm(chain * dt / 25.0) + now.birth_seconds(dt) * equilibrium
+        # A box that is far from all before.
+        z = boxes((200 + 3000 * k, 200))
+        state, _ = settings.step(state, z, now, dt, RNG)
+        target = state.present.targets[-1]
+        first = 0.9 * 25.0 * 1e-7 * unseen[0]
+        p_new = state.present.targets["r"][-1] / (first / (first + 1e-6))
+        assert target["label"] == state.next_label - 1
+        assert p_new == pytest.approx(1.0, abs=1e-3)
+        unseen[0] = 0.0
+        assert state.hidden == pytest.approx(unseen[1], rel=1e-9)
+
+
+def test_without_occlusion_no_births_are_hidden():
+    state = PLAIN.start(world(birth=1e-7), RNG)
+    for dt in (1.0, 5.0):
+        state, _ = PLAIN.step(state, boxes((200, 200)), world(birth=1e-7), dt, RNG)
+        assert state.hidden == 0.0
 
 
 def test_labels_are_unique_and_rise():

@@ -131,7 +131,10 @@ def test_the_update_is_its_definition(seed: int, name: str):
     state, targets = a_state(rng, int(rng.integers(0, 7)), settings)
     z = np.vstack([rng.normal([[300], [200]], 15, (2, 6)), rng.normal([[40], [80]], 3, (2, 6))])
     first, spread = model.sensor.states(z)
-    new = [(0.8 * 1e-7, first[:, j], spread[j]) for j in range(6)]
+    occluded = settings.mean_occluded_time / (
+        settings.mean_visible_time + settings.mean_occluded_time
+    )
+    new = [(0.8 * 1e-7 * (1 - occluded), first[:, j], spread[j]) for j in range(6)]
     # Scores that tell lasting false alarms leave nothing to static clutter.
     scores = np.exp(rng.normal(0, 2, 6)), rng.normal(0, 3, 6) * (settings.lasting_clutter_prior > 0)
     model = replace(model, clutter=ScoredClutter(model.clutter, *scores))

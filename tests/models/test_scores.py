@@ -173,7 +173,8 @@ def plain_chains(before, boxes, x, waiting, length, overlap):
             now[j] = np.nan
     ended = np.setdiff1d(np.arange(len(before)), link)
     false = waiting[ended].ravel()
-    return now, long, np.array(true), false[~np.isnan(false)], (length[ended] == 1).sum()
+    alone = np.isin(np.arange(len(before)), ended) & (length == 1)
+    return now, long, np.array(true), false[~np.isnan(false)], alone
 
 
 def plain_newton(before: Line, true, false, prior: Line, remembered: float) -> Line:

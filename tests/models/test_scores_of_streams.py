@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from phdtrack import Tracker
 from phdtrack.kernels.detection_scores import neighbours
-from phdtrack.models.clutter import UniformClutter
+from phdtrack.models.clutter import BoxClutter, UniformClutter
 from phdtrack.models.detection_scores import GOOD, LEVEL_FRAMES, NEAR, DetectionScores, ScoresSeen
 from phdtrack.protocols import Model
 from phdtrack.types import Detections
@@ -31,7 +31,7 @@ def seen(frames: list[Detections]) -> ScoresSeen:
     return state
 
 
-def plain_neighbours(boxes: np.ndarray, asked: list[int]) -> int:
+def plain_neighbours(boxes: np.ndarray, counted: np.ndarray, asked: list[int]) -> int:
     """`neighbours` as it is defined: centres within a width and a height, 0.5 to 1.5 in size."""
     centre = (boxes[:, :2] + boxes[:, 2:]) / 2
     size = boxes[:, 2:] - boxes[:, :2]
@@ -40,7 +40,7 @@ def plain_neighbours(boxes: np.ndarray, asked: list[int]) -> int:
         others = np.arange(len(boxes)) != i
         near = (np.abs(centre - centre[i]) < size[i]).all(axis=1)
         alike = ((size > 0.5 * size[i]) & (size < 1.5 * size[i])).all(axis=1)
-        count += int((others & near & alike).sum())
+        count += int((others & counted & near & alike).sum())
     return count
 
 
@@ -52,7 +52,9 @@ def test_neighbours_are_counted_as_defined(seed: int, count: int, most: int):
     boxes = np.hstack([corner, corner + rng.uniform(10, 60, (count, 2))])
     asked = list(range(0, count, max(count // most, 1)))
     assert len(asked) < 2 * most
-    assert neighbours(boxes, most) == (plain_neighbours(boxes, asked), len(asked))
+    counted = rng.random(count) < 0.7
+    wanted = plain_neighbours(boxes, counted, asked), len(asked)
+    assert neighbours(boxes, counted, most) == wanted
 
 
 def clutter_share(step: float, count: int, frames: int) -> float:
@@ -90,6 +92,46 @@ def test_false_alarms_near_boxes_are_as_many_as_the_boxes_there():
     model = Model(None, None, None, UniformClutter(1.0), rate=1.0)
     told = RULE.with_scores(state, model, found).clutter.intensity(np.zeros((4, 7)))
     np.testing.assert_allclose(told, 2 / 7 / NEAR, rtol=0.03)
+
+
+def new_share(frames: list[Detections], clutter: BoxClutter | UniformClutter) -> float:
+    """The share of false alarms that are new in each frame, after these."""
+    model = Model(None, None, None, clutter, rate=1.0)
+    return RULE.with_scores(seen(frames), model, frames[-1]).clutter.anew
+
+
+def row_of(left: np.ndarray) -> Detections:
+    """Boxes 40 wide that begin there."""
+    boxes = np.stack([left, 0 * left, left + 40, 0 * left + 80], axis=1)
+    return detections(boxes, np.full(len(left), 0.9))
+
+
+def test_false_alarms_that_are_new_are_a_fifth_at_first():
+    """As long as no neighbour is known."""
+    assert new_share([row_of(np.zeros(1))], BoxClutter()) == pytest.approx(0.2 * 31 / 30)
+
+
+def test_new_false_alarms_are_counted_from_isolated_neighbours():
+    """Of three boxes side by side one jumps away in each frame, that of the middle: it is the only
+    isolated one and a neighbour of both others.
+    """
+    frames = [row_of(np.array([0.0, 30 if k % 2 else 2000 + 100 * k, 60])) for k in range(601)]
+    state = seen(frames)
+    # Two neighbours in half of the frames, of three detections in all.
+    np.testing.assert_allclose(state.near_alone[0] / state.near_alone[1], 1 / 3, rtol=0.03)
+
+
+def test_lasting_neighbours_are_no_new_false_alarms():
+    """They last; in a sparse stream at least a 20th of 0.6 are new, and so all that are left."""
+    beside = [row_of(np.array([0.0, 30, 60]))] * 400
+    assert new_share(beside, BoxClutter()) == pytest.approx(0.05)
+    apart = [row_of(np.array([0.0, 300, 600]))] * 1000
+    assert new_share(apart, BoxClutter()) == pytest.approx(1.0)
+
+
+def test_stated_false_alarms_do_not_depend_on_the_interval():
+    stated = BoxClutter(clutter_per_frame=3.0, frame_size=(640, 480))
+    assert new_share([row_of(np.array([0.0, 30, 60]))] * 20, stated) == 1.0
 
 
 def log_odds(score: np.ndarray, frames: int = 30) -> tuple[np.ndarray, np.ndarray]:

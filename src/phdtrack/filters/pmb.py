@@ -11,7 +11,8 @@ Three things that a constant p_D does not say about detectors are hidden states 
 
 *Occlusion*: misses come in rows. A visible target is detected with the sensor's p_D, an occluded
 one never. It changes at rates 1/``mean_visible_time`` and 1/``mean_occluded_time``, a Markov chain
-in continuous time that is visible at a first detection.
+in continuous time that is visible at a first detection. Targets that were never detected may have
+been occluded ever since [PMB (18)].
 
 *Static clutter*: some false alarms come again and again in one place. A first detection is static
 clutter with probability ``static_clutter_prior``. It stays where it is, which is never known
@@ -124,6 +125,8 @@ LEAST_DETECTION = 0.2
 MOST_DETECTION = 0.97
 # Frames after which what a score has said of lasting clutter counts for 37 %.
 SCORE_MEMORY = 15.0
+# The share of false alarms that are new in each frame, if no stream has shown it.
+ANEW = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +144,7 @@ class Bernoullis:
     frame : number of the last layer: how many frames have been predicted.
     detections : how many detections of targets there were, of how many chances, and how many the
         sensor's p_D expected; old ones are forgotten.
+    hidden : seconds whose births have been occluded ever since, where γ is a density.
     """
 
     layers: tuple[Layer, ...]
@@ -149,6 +153,7 @@ class Bernoullis:
     undetected: GaussianMixture
     frame: int = 0
     detections: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    hidden: float = 0.0
 
     def __len__(self) -> int:
         """Number of hypotheses."""
@@ -196,9 +201,9 @@ class PMB(Checked, Filter[Bernoullis]):
         37 %.
     acceleration_factors : a target is followed with each of these multiples of the model's
         acceleration.
-    clutter_decay : false alarms are T^−clutter_decay times the model's where the interval T is
-        longer than a time unit: of a slow stream's, fewer come again in the next frame. 0: as the
-        model says.
+    clutter_decay : false alarms that come again do so exp(−clutter_decay (T − 1)) times as often
+        where the interval T is longer than a time unit; those that are new in each frame do not
+        depend on T. 0: as the model says.
     detection_memory : chances to detect a target after which what they have told of p_D counts for
         37 %; 0: p_D is the sensor's.
     turns_per_second : how often the velocity of a target is new at once, as of a ball that bounces;
@@ -221,7 +226,7 @@ class PMB(Checked, Filter[Bernoullis]):
     noise_freedom: NonNegative = 8.0
     noise_memory: Positive = 4.5
     acceleration_factors: tuple[Positive, ...] = (1.0, 3.1623, 10.0)
-    clutter_decay: NonNegative = 0.5
+    clutter_decay: NonNegative = 0.4
     detection_memory: NonNegative = 2000.0
     turns_per_second: NonNegative = 0.1
     initial: GaussianMixture | None = None
@@ -301,6 +306,7 @@ class PMB(Checked, Filter[Bernoullis]):
             unseen,
             state.frame + 1,
             state.detections,
+            state.hidden,
         )
 
     @property
@@ -338,7 +344,7 @@ class PMB(Checked, Filter[Bernoullis]):
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         # Predicted measurements of known targets; first detections λ̂(z) of new ones: PMB (5)
         ahead = predicted_measurements(model.sensor, now.mean, now.covariance, self.transform)
-        births = with_births(state.undetected, model, z, dt)
+        births, hidden = self._births(state, model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
         # Gate, associate by belief propagation, update each target: PMB (3), (4), (7) to (10)
         settings = self._settings(gate, model, state.detections, scores.prior < CERTAIN)
@@ -367,8 +373,25 @@ class PMB(Checked, Filter[Bernoullis]):
             undetected,
             state.frame,
             self._remembered(state.detections, counted),
+            hidden,
         )
         return after, info
+
+    def _births(self, state: Bernoullis, model: Model, z: F8, dt: float) -> tuple[Births, float]:
+        """λ⁺ at the measurements ``z`` (m, N), and `Bernoullis.hidden` after this frame [PMB (2)],
+        [PMB (18)].
+        """
+        births = with_births(state.undetected, model, z, dt)
+        if self.mean_visible_time == 0:
+            return births, 0.0
+        occluded = self.mean_occluded_time / (self.mean_visible_time + self.mean_occluded_time)
+        _, reappear = self._changes(dt / (model.rate * model.pace))
+        seconds = model.birth_seconds(dt)
+        hidden = state.hidden * model.survival(dt)
+        visible = (1 - occluded) * seconds + reappear * hidden
+        density = births.around.density * (visible / max(seconds, TINY))
+        births = births._replace(around=births.around._replace(density=density))
+        return births, occluded * seconds + (1 - reappear) * hidden
 
     def _learned(self, counted: tuple[float, float, float]) -> float:
         """The odds of p_D as a multiple of the sensor's, by `Bernoullis.detections`."""
@@ -399,7 +422,9 @@ class PMB(Checked, Filter[Bernoullis]):
         Only scores tell false alarms that last from targets.
         """
         clutter = model.clutter
+        anew = ANEW
         if isinstance(clutter, ScoredClutter):
+            anew = clutter.anew
             intensity = clutter.without_scores(z)
             lasting = bool(clutter.log_odds.any())
             scores = Scores(clutter.odds, clutter.log_odds, self._prior if lasting else CERTAIN)
@@ -409,7 +434,8 @@ class PMB(Checked, Filter[Bernoullis]):
             scores = Scores(nothing + 1, nothing, CERTAIN)
         interval = dt / model.pace
         if self.clutter_decay and interval > 1:
-            intensity = intensity * interval**-self.clutter_decay
+            again = math.exp(-self.clutter_decay * (interval - 1))
+            intensity = intensity * (anew + (1 - anew) * again)
         return intensity, scores
 
     def _check_noise(self, components: int) -> None:

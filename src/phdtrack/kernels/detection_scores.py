@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels import F8, I8
+from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.box import following
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY
@@ -67,13 +67,13 @@ def scaled(
 @njit(**ENTRY)
 def chained(
     before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: float
-) -> tuple[F8, I8, F8, F8, int]:
+) -> tuple[F8, I8, F8, F8, Bool]:
     """The chains of detections after a frame, and its verdicts.
 
     ``before`` (n, 4) are the boxes of the frame before, of whose chains ``waiting`` (n, L) are what
     waits, NaN where nothing does, and ``length`` (n,) how long they are. ``boxes`` (m, 4) and ``x``
     (m,) are of this frame. Returns both for its m chains, x of what was true, as its chain has
-    lasted for L frames, and false, as it has ended before, and how many of the frame before were
+    lasted for L frames, and false, as it has ended before, and which (n,) of the frame before were
     alone: linked neither before nor now.
     """
     m = boxes.shape[0]
@@ -83,7 +83,8 @@ def chained(
     long = np.ones(m, np.int64)
     true = np.empty(m * most)
     false = np.empty(waiting.size)
-    t = f = alone = 0 * m
+    t = f = 0 * m
+    alone = np.zeros(before.shape[0], np.bool_)
     ended = np.ones(before.shape[0], np.bool_)
     for j in range(m):
         i = link[j]
@@ -101,7 +102,7 @@ def chained(
                 now[j, k] = np.nan
     for i in range(before.shape[0]):
         if ended[i]:
-            alone += length[i] == 1
+            alone[i] = length[i] == 1
             for k in range(most):
                 if not math.isnan(waiting[i, k]):
                     false[f] = waiting[i, k]
@@ -110,9 +111,9 @@ def chained(
 
 
 @njit(**ENTRY)
-def neighbours(boxes: F8, most: int) -> tuple[int, int]:
-    """How many neighbours some of the boxes (n, 4) have in all, and how many these are: evenly
-    spaced, about ``most`` of many.
+def neighbours(boxes: F8, counted: Bool, most: int) -> tuple[int, int]:
+    """How many neighbours some of the boxes (n, 4) have in all among those that are ``counted``
+    (n,), and how many these are: evenly spaced, about ``most`` of many.
 
     A neighbour is within ±1 box in position, and has 0.5 to 1.5 of the width and height
     (`models.volumes`).
@@ -128,6 +129,7 @@ def neighbours(boxes: F8, most: int) -> tuple[int, int]:
         for j in range(boxes.shape[0]):
             near = (
                 j != i
+                and counted[j]
                 and abs(boxes[j, 0] + boxes[j, 2] - x) < 2.0 * width
                 and abs(boxes[j, 1] + boxes[j, 3] - y) < 2.0 * height
             )

@@ -126,12 +126,15 @@ class ScoredClutter:
     log_odds : (N,) log p(s|target)/p(s|lasting false alarm), for filters that know of false alarms
         that last.
     more : how many times as many false alarms there are as κ says.
+    anew : the share of these that are new in each frame; the others are false alarms that come
+        again.
     """
 
     base: Clutter
     odds: F8
     log_odds: F8
     more: float = 1.0
+    anew: float = 1.0
 
     def without_scores(self, z: F8) -> F8:
         """(N,) more·κ(z), whatever the scores."""

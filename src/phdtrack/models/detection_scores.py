@@ -39,7 +39,7 @@ from phdtrack.errors import Checked, InputError, Positive, Share
 from phdtrack.kernels.detection_scores import LOGIT, RANK, Line, chained, neighbours, newton, scaled
 from phdtrack.models.clutter import BoxClutter, ScoredClutter, UniformClutter
 from phdtrack.protocols import Learning, Model
-from phdtrack.types import F8, I8, Detections, Step
+from phdtrack.types import F8, I8, Bool, Detections, Step
 
 # Scores, and verdicts, that are remembered, the newest.
 KEPT = 3000
@@ -53,10 +53,14 @@ _PRECISION = np.diag(PRIOR_PRECISION)
 # Detections whose being alone or not is assumed to be known at the start, none of them alone.
 FIRST_SEEN = 100.0
 # Detections near a detection that are expected before any are seen, and for how many detections
-# that counts; of about so many a frame the neighbours are counted.
+# that counts; of about so many a frame the neighbours are counted; and what was learned is at least
+# this share of what was expected.
 NEAR = 0.6
 NEAR_PRIOR = 30.0
 NEAR_ASKED = 32
+LEAST_NEAR = 0.05
+# For how many detections the neighbours count that are expected to be alone.
+ALONE_PRIOR = 5.0
 # Slope of the prior for ranks, and the rank that says nothing.
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
@@ -90,6 +94,7 @@ class ScoresSeen:
     line : what is known of (a, b); None before the first verdict.
     level : x of the best scores, see `LEVEL_FRAMES`; −∞ before there are any.
     near : how many detections were in the neighbourhood of another, and of how many.
+    near_alone : how many of these overlapped none of the frames beside them, and of how many.
     alone : how many detections overlapped none of the frames beside them, and of how many; old ones
         are forgotten.
     """
@@ -102,6 +107,7 @@ class ScoresSeen:
     line: Line | None = None
     alone: tuple[float, float] = (0.0, FIRST_SEEN)
     near: tuple[float, float] = (0.0, 0.0)
+    near_alone: tuple[float, float] = (0.0, 0.0)
     level: float = -math.inf
 
     @property
@@ -181,14 +187,24 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         """
         single, lasting = self.log_odds(detections.confidence, state)
         more = max(state.alone[0] / state.alone[1] / self.usual_alone, 1.0)
+        anew = 1.0
         # What a scene has taught of false alarms, or a user says of a frame's, stands.
         clutter = model.clutter
         stated = isinstance(clutter, BoxClutter) and clutter.clutter_per_frame > 0
         if isinstance(clutter, BoxClutter | UniformClutter) and not stated:
             near, seen = state.near
             most = (NEAR_PRIOR * NEAR + near) / (NEAR_PRIOR + seen)
-            more *= min(max(most / NEAR, 0.05), 1.0)
-        return replace(model, clutter=ScoredClutter(model.clutter, np.exp(single), lasting, more))
+            more *= min(max(most / NEAR, LEAST_NEAR), 1.0)
+            anew = min(self._anew(state) / more, 1.0)
+        scored = ScoredClutter(model.clutter, np.exp(single), lasting, more, anew)
+        return replace(model, clutter=scored)
+
+    def _anew(self, state: ScoresSeen) -> float:
+        """How many times κ the false alarms are that are new in each frame [PMB (19)]."""
+        count, seen = state.near_alone
+        usual = self.usual_alone * NEAR
+        alone = (ALONE_PRIOR * usual + count) / (ALONE_PRIOR + seen)
+        return max(alone / NEAR, LEAST_NEAR)
 
     def advance(self, state: ScoresSeen, step: Step) -> ScoresSeen:
         """Remember the scores of a frame, prolong the chains, and learn from those on which there
@@ -200,12 +216,12 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         score = step.detections.confidence
         line = state.line
         extent, kind, x, scores, level = _scaled(state, score)
-        waiting, length, true, false, single = chained(
+        waiting, length, true, false, lone = chained(
             state.boxes, boxes, x, state.waiting, state.length, LINKED
         )
         n = len(state.boxes)
         kept = max(1 - n / KEPT, 0.0)
-        alone = kept * state.alone[0] + single, kept * state.alone[1] + n
+        alone = kept * state.alone[0] + np.count_nonzero(lone), kept * state.alone[1] + n
         if kind != state.kind:
             waiting = np.full(waiting.shape, np.nan)
             line = None
@@ -215,10 +231,27 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             # As plain tuples: Numba looks up the class of every named one.
             prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
             line = Line(*newton(tuple(line or prior), true, false, prior, float(KEPT)))
-        count, asked = neighbours(boxes, NEAR_ASKED)
-        fade = max(1 - asked / KEPT, 0.0)
-        near = fade * state.near[0] + count, fade * state.near[1] + asked
-        return ScoresSeen(scores, extent, boxes, waiting, length, line, alone, near, level)
+        return ScoresSeen(
+            scores,
+            extent,
+            boxes,
+            waiting,
+            length,
+            line,
+            alone,
+            _with_neighbours(state.near, boxes, np.ones(len(boxes), np.bool_)),
+            _with_neighbours(state.near_alone, state.boxes, lone),
+            level,
+        )
+
+
+def _with_neighbours(before: tuple[float, float], boxes: F8, counted: Bool) -> tuple[float, float]:
+    """How many neighbours there were, and of how many detections, with the ``boxes`` (n, 4) of a
+    frame, of which these are ``counted`` (n,).
+    """
+    count, asked = neighbours(boxes, counted, NEAR_ASKED)
+    kept = max(1 - asked / KEPT, 0.0)
+    return kept * before[0] + count, kept * before[1] + asked
 
 
 def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8, F8, float]:
