@@ -98,7 +98,8 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float, mo
     model = world(clutter=3e-8, birth=2e-8, detection=0.8, survival=0.95)
     first, *rest = SCANS[name]
     state, info = run(filter_, [boxes(first)], model, dt)
-    born = 0.8 * 2e-8 * dt
+    both = filter_.mean_visible_time + filter_.mean_occluded_time
+    born = 0.8 * 2e-8 * dt * filter_.mean_visible_time / both
     r = born / (born + 3e-8)
     mean, cov = model.sensor.states(boxes(first))
     prior = filter_.static_clutter_prior
