@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-SEED = 20011
+SEED = 90117
 REGIMES = 200
 # Scenes of each random regime.
 SCENES = 2
