@@ -99,6 +99,7 @@ def live(
     max_width: given.MaxWidth = None,
     mask: given.Mask = None,
     scene: given.SceneFile = None,
+    learn: given.Learn = True,
     page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page.")] = True,
     duration: Annotated[float, option("S", "End after so many seconds; 0: never.", min=0.0)] = 0.0,
 ) -> None:
@@ -111,7 +112,7 @@ def live(
     """
     scoring = {"--truth": options.truth, "--labelled": options.labelled}
     refuse(scoring, "a camera has no annotated truth", "phdtrack live")
-    make = CameraSetup(options, tuple(scene_settings(scene)), detector, max_width, mask)
+    make = CameraSetup(options, tuple(scene_settings(scene)), detector, max_width, mask, learn)
     known = class_names(make.new_detector(make.settings(), max_width or 0))
     addresses = named_sources(sources)
     for url in write.webhook or []:

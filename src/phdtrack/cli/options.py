@@ -114,6 +114,11 @@ Frames = Annotated[
         "Only these frames, as 1500-3000 or 1500-; numbers and times stay those of the whole.",
     ),
 ]
+_LEARN = (
+    "Learn where the scene flickers, with a background detector: a file is tracked a second time,"
+    " `live` learns as it goes."
+)
+Learn = Annotated[bool, typer.Option("--learn/--no-learn", help=_LEARN)]
 DetectionsFile = Annotated[
     Path | None, option("FILE", "Detections in place of a detector's; -: rows from standard input.")
 ]
@@ -236,6 +241,7 @@ REQUESTS: dict[type[Any], dict[str, Any]] = {
         "resume": Resume,
         "blur": Blur,
         "scene": SceneFile,
+        "learn": Learn,
     },
     RunRequest: {
         "video": Video,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from phdtrack import config
 from phdtrack.config import Settings
+from phdtrack.detect import BACKGROUND
 from phdtrack.detect.base import Detector, class_names
 from phdtrack.detect.detectors import make_detector, working_width
 from phdtrack.live.engine import CameraParts
@@ -14,6 +15,7 @@ from phdtrack.models import PlaneSensor
 from phdtrack.run.camera_motion import mover_of
 from phdtrack.run.choices import chosen_settings
 from phdtrack.run.requests import TrackingRequest
+from phdtrack.run.scene_pass import can_flicker, learning_flicker
 from phdtrack.types import SequenceInfo
 
 # Settings that cannot change while it runs, besides the kind of each part: what was learned or is
@@ -38,6 +40,7 @@ class CameraSetup:
     tracking : how to track.
     first : settings in place of those of preset and file.
     detector, max_width, mask : as `SourceRequest` has them.
+    learn : whether it learns where the scene flickers, with a background detector.
     """
 
     tracking: TrackingRequest
@@ -45,6 +48,7 @@ class CameraSetup:
     detector: str
     max_width: int | None
     mask: Path | None
+    learn: bool = True
 
     def settings(self) -> Settings:
         """The settings of `phdtrack track`, except that the past is forgotten. Raises `InputError`
@@ -70,6 +74,8 @@ class CameraSetup:
         names = class_names(detector)
         present = frozenset(names) if names else None
         classes = config.build_classes(settings, info, names, present, moving=True)
+        if self.learn and self.detector in BACKGROUND and can_flicker(settings):
+            classes = learning_flicker(classes, (float(info.width), float(info.height)))
         model = classes.usual.model
         groups = None
         if isinstance(model.sensor, PlaneSensor):

@@ -251,6 +251,31 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
     return _over_scene(axes, image, darkness=0.5)
 
 
+def share_picture(shares: F8, size: tuple[int, int], image: Image) -> Picture:
+    """A map of shares (rows, columns) over the frame, brighter for larger ones.
+
+    Parameters
+    ----------
+    shares : from 0 to 1, for each place.
+    size : width and height of the frame.
+    image : (H, W, 3) BGR frame, or (0, 0, 3).
+    """
+    axes = _frame_axes(SequenceInfo(*size, 25.0))
+    # Weak places matter, and are not to look darker than the picture.
+    bright = (shares / max(float(shares.max(initial=0.0)), 1e-9)) ** 0.5
+    axes.imshow(
+        0.3 + 0.7 * bright,
+        cmap="inferno",
+        extent=(0, size[0], size[1], 0),
+        alpha=np.where(bright > 0, 0.3 + 0.6 * bright, 0.0),
+        vmin=0,
+        vmax=1,
+        interpolation="nearest",
+    )
+    axes.set(xlim=(0, size[0]), ylim=(size[1], 0))
+    return _over_scene(axes, image, darkness=0.5)
+
+
 def jpeg(image: Image) -> Picture:
     """A picture (H, W, 3) BGR as JPEG, shrunk to at most 1400 pixels in width."""
     image = shrunk(image, _JPEG_WIDTH)

@@ -269,6 +269,11 @@ class Recorder:
             self._picture = self._hidden(_small(frame), boxes)
             self._pictured = step.number
 
+    def keep_picture_of(self, other: Recorder) -> None:
+        """Take over the picture of a recorder of the same frames."""
+        self._picture = other._picture
+        self._pictured = other._pictured
+
     def count(self, rows: Tracks) -> None:
         """Count final corrected rows of a source without end."""
         self._whole = self._whole.with_rows(rows, self._unobserved, *self._known)

@@ -32,6 +32,7 @@ from phdtrack.run.observers import CameraObserver, RunObserver
 from phdtrack.run.reporter import SILENT, Reporter
 from phdtrack.run.requests import ReadingRequest, RunRequest, SourceRequest, frame_range, refuse
 from phdtrack.run.running import RunOptions
+from phdtrack.run.scene_pass import can_flicker
 from phdtrack.run.video import RunResult, run
 from phdtrack.types import Truth
 
@@ -142,6 +143,7 @@ def prepare(
         detected_by=_detected_by(request.source, inputs, read, parameters),
         detect_again=request.source.detect_again,
         checkpoint_every=request.checkpoint_every,
+        learn=request.output.learn and can_flicker(settings),
     )
     observers = () if motion == "none" else (CameraObserver(motion),)
     return PreparedRun(inputs, classes, options, settings, observers)
@@ -238,6 +240,8 @@ def _read(request: RunRequest, inputs: Inputs) -> dict[str, object]:
         read["reading"] = stated
     if request.frames:
         read["frames"] = request.frames
+    if not request.output.learn:
+        read["learn"] = False
     network = inputs.described.partition(":")[2]
     if source.detections is None and network:
         read["network"] = source_of(network)
@@ -255,7 +259,8 @@ def _detected_by(
         return {}
     mask = str(read["mask"])
     # Without a file of detections they are the truth's.
-    deciding = {name: value for name, value in read.items() if name != "reading"}
+    others = ("reading", "learn")
+    deciding = {name: value for name, value in read.items() if name not in others}
     return {
         **deciding,
         "mask": source_of(mask) if mask else [],

@@ -149,6 +149,8 @@ class OutputRequest:
     overwrite, resume : replace an earlier run; continue one that was interrupted.
     blur : ``boxes`` or ``faces`` to pixelate them in all pictures.
     scene : file that `phdtrack learn` wrote.
+    learn : whether a file with a background detector is tracked twice, the second time with what
+        the first has taught of the scene.
     """
 
     out: Path | None = None
@@ -156,6 +158,7 @@ class OutputRequest:
     resume: bool = False
     blur: str = ""
     scene: Path | None = None
+    learn: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from phdtrack.run import directory as rundir
 from phdtrack.run.confirmation import confirmation
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.running import Progress, Run
+from phdtrack.run.scene_pass import SceneLesson
 from phdtrack.run.scoring import RunScores
 from phdtrack.types import Tracks
 
@@ -50,6 +51,7 @@ def write_report(
     tracks: Tracks,
     scored: RunScores,
     seconds: tuple[float, float],
+    lesson: SceneLesson | None = None,
 ) -> tuple[dict[str, object], tuple[str, ...], tuple[str, ...]]:
     """Write report.html and run.json.
 
@@ -58,6 +60,7 @@ def write_report(
     run, progress : what was run, and how far it got.
     tracks, scored : corrected tracks and their scores.
     seconds : of everything so far, and of what followed the loop.
+    lesson : what a first pass has taught of the scene; None without one.
 
     Returns
     -------
@@ -83,6 +86,8 @@ def write_report(
         notes=(*confirmed[:1], *_notes(run, progress)),
     )
     reports = [observer.report() for observer in run.observers]
+    if lesson is not None:
+        reports.append(lesson.report(record.background))
     section = "\n".join(report.section for report in reports)
     record = replace(record, about=replace(about, sections=section))
     inputs = {"input": dict(options.read)}

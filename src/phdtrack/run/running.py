@@ -50,6 +50,7 @@ class RunOptions:
     detected_by : what decides the detections; empty if they are not kept for the next run.
     detect_again : do not reuse detections of an earlier run.
     checkpoint_every : seconds between checkpoints; 0 for none.
+    learn : whether a first pass teaches the scene (`scene_pass`).
     """
 
     about: About = field(default_factory=About)
@@ -66,6 +67,7 @@ class RunOptions:
     detected_by: Mapping[str, object] = field(default_factory=dict)
     detect_again: bool = False
     checkpoint_every: float = 0.0
+    learn: bool = False
 
 
 @dataclass(frozen=True, slots=True)

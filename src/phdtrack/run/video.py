@@ -11,7 +11,8 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from numba.core import event
@@ -29,13 +30,15 @@ from phdtrack.run.annotated_video import as_interrupt, draw_videos
 from phdtrack.run.detection_log import DetectionLog
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.inputs import Inputs, detected_frames, expected_end
-from phdtrack.run.loop import DetectedFrame, TrackedFrame, track_frames
+from phdtrack.run.loop import NO_PICTURE, DetectedFrame, FrameObserver, TrackedFrame, track_frames
 from phdtrack.run.observers import RunObserver
 from phdtrack.run.reporter import SILENT, Advance, Reporter
 from phdtrack.run.run_files import RunFiles
 from phdtrack.run.run_report import write_report
 from phdtrack.run.running import FrameSummary, Progress, Run, RunOptions, Stop
+from phdtrack.run.scene_pass import SceneLesson, can_learn
 from phdtrack.run.scoring import score_run
+from phdtrack.scene.flicker import NOWHERE
 from phdtrack.tracker import Tracker, uninterrupted
 from phdtrack.types import Tracks
 
@@ -113,11 +116,16 @@ def run(
 def _run(run: Run, advance: Advance) -> RunResult:
     """Track, finish and report, with a function that shows how far it got."""
     began = time.perf_counter()
-    progress = _track(run, advance)
+    lesson = None
+    if can_learn(run):
+        lesson = SceneLesson((run.inputs.info.width, run.inputs.info.height))
+    progress = _track(run, advance, lesson)
     tracked = time.perf_counter()
     return_memory()
     _raise_if_nothing(run, progress)
     tracks = _smoothed(run, progress)
+    if lesson is not None:
+        run, progress, tracks = _track_again(run, lesson, progress, tracks, advance)
     if run.inputs.again:
         with (
             progress.writing(),
@@ -139,27 +147,21 @@ def _run(run: Run, advance: Advance) -> RunResult:
     return_memory()
     advance(progress.frames, total=progress.frames, description="report")
     seconds = (time.perf_counter() - began, finishing)
-    document, summary, warnings = write_report(run, progress, tracks, scored, seconds)
+    document, summary, warnings = write_report(run, progress, tracks, scored, seconds, lesson)
     reported = progress.tracker.warnings
     ended = progress.ended
     return RunResult(tracks, document, summary, warnings, scored.scores, ended, reported)
 
 
-def _track(run: Run, advance: Advance) -> Progress:
+def _track(run: Run, advance: Advance, lesson: SceneLesson | None = None) -> Progress:
     """All frames through detector and tracker, into files and record, until the source ends or
-    something stops it.
+    something stops it. A ``lesson`` takes them in, too; the observers then get them later.
     """
     inputs = run.inputs
-    options = run.options
-    tracker = Tracker(stages=run.classes, fps=inputs.info.fps, seed=options.about.seed)
-    tracker.on_warning = lambda sentence: run.reporter.warn([sentence])
+    progress = _begun(run)
+    tracker = progress.tracker
     if not inputs.again:
         tracker.trust_times()
-    charted = None if inputs.again else CHARTED
-    recorder = Recorder(inputs.info, options.truth, charted, options.blur)
-    progress = Progress(tracker, recorder, [] if inputs.again else deque(maxlen=SAMPLE))
-    if inputs.described in BACKGROUND:
-        progress.signs = TrackSigns(inputs.info, reported_region(inputs.detector))
     log = _detection_log(run)
     if log is not None:
         progress.resumed = log.number
@@ -167,21 +169,90 @@ def _track(run: Run, advance: Advance) -> Progress:
     if not inputs.again:
         # What runs for months does not stop for a kernel that it needs late.
         tracker.warm_up()
+    first = run
+    more: tuple[FrameObserver, ...] = ()
+    if lesson is not None:
+        first = replace(run, observers=())
+        more = (lesson,)
+    _follow(first, progress, _detected(run, log), advance, more)
+    problems = (inputs.source.problem, log.problem if log else "")
+    progress.source_problem = ". ".join(filter(None, problems))
+    return progress
+
+
+def _begun(run: Run) -> Progress:
+    """The progress of a run before its first frame."""
+    inputs = run.inputs
+    options = run.options
+    tracker = Tracker(stages=run.classes, fps=inputs.info.fps, seed=options.about.seed)
+    tracker.on_warning = lambda sentence: run.reporter.warn([sentence])
+    charted = None if inputs.again else CHARTED
+    recorder = Recorder(inputs.info, options.truth, charted, options.blur)
+    progress = Progress(tracker, recorder, [] if inputs.again else deque(maxlen=SAMPLE))
+    if inputs.described in BACKGROUND:
+        progress.signs = TrackSigns(inputs.info, reported_region(inputs.detector))
+    return progress
+
+
+def _follow(
+    run: Run,
+    progress: Progress,
+    detections: AbstractContextManager[Iterator[DetectedFrame]],
+    advance: Advance,
+    more: Sequence[FrameObserver] = (),
+) -> None:
+    """Frames with their detections through the tracker, into files and record, and to ``more``
+    observers, until they end or something stops it.
+    """
+    tracker = progress.tracker
     with ExitStack() as files:
         written = RunFiles(run, progress, files)
         pace = _Pace(run, progress, files, advance)
         try:
-            with _detected(run, log) as detected:
-                track_frames(tracker, detected, (written, _Record(run, progress), pace))
+            with detections as detected:
+                record = _Record(run, progress)
+                track_frames(tracker, detected, (written, record, pace, *more))
             written.flush()
         except (Exception, KeyboardInterrupt) as stop:
             progress.stop = as_interrupt(stop)
         written.rest()
         if isinstance(progress.stop, KeyboardInterrupt):
             run.reporter.stopping(_STOPPED.format(progress.last))
-        problems = (inputs.source.problem, log.problem if log else "")
-        progress.source_problem = ". ".join(filter(None, problems))
-    return progress
+
+
+def _track_again(
+    run: Run, lesson: SceneLesson, first: Progress, tracks: Tracks, advance: Advance
+) -> tuple[Run, Progress, Tracks]:
+    """The second pass, with what the first has taught, over the same detections; the first is all
+    if it has taught nothing and no observer waits for the frames.
+
+    Parameters
+    ----------
+    run, lesson : the run, and the detections of the first pass.
+    first, tracks : progress and corrected tracks of the first pass.
+    advance : shows the progress.
+    """
+    if first.stop is None:
+        lesson.learn(tracks)
+    if lesson.learned is NOWHERE and not run.observers:
+        return run, first, tracks
+    if lesson.sentence:
+        run.reporter.note(lesson.sentence)
+    run = replace(run, classes=lesson.taught(run.classes))
+    progress = _begun(run)
+    known = first.tracker.warnings
+    progress.tracker.on_warning = lambda each: run.reporter.warn({each}.difference(known))
+    _follow(run, progress, nullcontext(iter(lesson.frames)), advance)
+    progress.recorder.keep_picture_of(first.recorder)
+    # The second pass counts as what follows the loop.
+    progress.seconds = first.seconds
+    progress.skipped = first.skipped
+    progress.source_problem = first.source_problem
+    progress.stop = first.stop or progress.stop
+    progress.unwritten += first.unwritten
+    progress.resumed = first.resumed
+    progress.reused = first.reused
+    return run, progress, lesson.without_flicker(_smoothed(run, progress))
 
 
 def _detection_log(run: Run) -> DetectionLog | None:
@@ -220,9 +291,9 @@ class _Record:
         """Record a frame."""
         progress = self._progress
         detected = tracked.detected
-        progress.recorder.add(
-            detected.frame if self._pictures else None, tracked.step, detected.seconds
-        )
+        # The second pass has no pictures.
+        pictured = self._pictures and detected.frame.picture is not NO_PICTURE
+        progress.recorder.add(detected.frame if pictured else None, tracked.step, detected.seconds)
         progress.summaries.append(FrameSummary.of(tracked))
         if progress.signs is not None:
             progress.signs.see(tracked.step.number)

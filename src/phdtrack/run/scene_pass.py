@@ -1,0 +1,186 @@
+"""The scene teaches: a file is tracked twice, and the second time the tracker knows where it
+flickers.
+
+The first pass detects and tracks as always, and keeps the detections. If they show places that
+flicker (`scene.flicker`), the second one tracks the same detections again. If not, the first was
+all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from phdtrack.config import Settings
+from phdtrack.detect import BACKGROUND
+from phdtrack.models.flicker_odds import FlickerOdds
+from phdtrack.models.live_flicker import LiveFlicker
+from phdtrack.multiclass import ClassSettings
+from phdtrack.report import charts
+from phdtrack.report.pages import render
+from phdtrack.run.loop import NO_PICTURE, DetectedFrame, TrackedFrame
+from phdtrack.run.observers import Report
+from phdtrack.run.running import Run
+from phdtrack.scene.flicker import (
+    NO_ARRIVALS,
+    NOWHERE,
+    Arrivals,
+    FlickerMap,
+    Sightings,
+    arrivals,
+    flicker_share,
+    learn_flicker,
+    sightings,
+    travellers,
+    without_flicker,
+)
+from phdtrack.types import F8, Frame, Image, Tracks
+
+# Rows of the map of where a scene flickers.
+_ROWS = 72
+# A place flickers, for the report, if it does in this share of the frames.
+_SHOWN = 0.01
+
+
+def can_flicker(settings: Settings) -> bool:
+    """True if it may be learned where a scene flickers: boxes in the image of a camera that stands
+    still, a filter that decides, and no learned scene.
+    """
+    still = settings.kind("camera_motion") == "none" and settings.kind("motion") == "box"
+    return still and settings.kind("filter") != "none" and not settings.build("scene").file
+
+
+def learning_flicker(classes: ClassSettings, size: tuple[float, float]) -> ClassSettings:
+    """The stages that learn while tracking where a scene flickers.
+
+    Parameters
+    ----------
+    classes : how each class is tracked.
+    size : width and height of the picture, pixels.
+    """
+    usual = classes.usual
+    learning = LiveFlicker(size, usual.detection_scores)
+    return replace(classes, usual=replace(usual, detection_scores=learning))
+
+
+def can_learn(run: Run) -> bool:
+    """True if the first pass of a run can teach the second one.
+
+    A background detector finds whatever moves; other detectors know what an object is. The frames
+    must be those of a file, and what the user has said of the scene stands.
+    """
+    inputs = run.inputs
+    background = inputs.described in BACKGROUND and inputs.pictures
+    return run.options.learn and background and inputs.again
+
+
+@dataclass(eq=False)
+class SceneLesson:
+    """The detections of the first pass, and what they teach.
+
+    Attributes
+    ----------
+    size : width and height of the pictures.
+    frames : without their pictures.
+    learned : where the scene flickers.
+    removed : tracks of the second pass that were flicker.
+    """
+
+    size: tuple[int, int]
+    frames: list[DetectedFrame] = field(default_factory=list)
+    learned: FlickerMap = NOWHERE
+    removed: int = 0
+    _came: Arrivals = NO_ARRIVALS
+    _shares: F8 = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def take(self, tracked: TrackedFrame) -> None:
+        """Keep the detections of a frame."""
+        frame = tracked.detected.frame
+        empty = Frame(frame.number, frame.time, NO_PICTURE)
+        self.frames.append(tracked.detected._replace(frame=empty))
+
+    def learn(self, tracks: Tracks) -> None:
+        """Learn from the corrected tracks of the first pass."""
+        seen = self._sightings(tracks)
+        self.learned = learn_flicker(seen, self.size)
+        if self.learned is not NOWHERE:
+            self._came = arrivals(seen, self.size, travellers(seen))
+            self._shares = flicker_share(seen, self.learned, self.size, len(self.frames), _ROWS)
+
+    def taught(self, classes: ClassSettings) -> ClassSettings:
+        """The stages that know where the scene flickers; the same if it does nowhere."""
+        if self.learned is NOWHERE:
+            return classes
+        usual = classes.usual
+        odds = FlickerOdds(self.learned, usual.detection_scores)
+        return replace(classes, usual=replace(usual, detection_scores=odds))
+
+    def without_flicker(self, tracks: Tracks) -> Tracks:
+        """The corrected tracks of the second pass without those that are flicker; identities from
+        1, in order.
+        """
+        if self.learned is NOWHERE:
+            return tracks
+        seen = self._sightings(tracks)
+        flicker = without_flicker(seen, self.learned, self._came, self.size)
+        self.removed = len(flicker)
+        left = tracks.select(~np.isin(tracks.identity, flicker))
+        _, name = np.unique(left.identity, return_inverse=True)
+        return replace(left, identity=name.astype(np.int64) + 1)
+
+    @property
+    def sentence(self) -> str:
+        """A sentence about what was learned; empty for nothing."""
+        if self.learned is NOWHERE:
+            return ""
+        share = 100 * float((self._shares >= _SHOWN).mean())
+        return (
+            f"The scene flickers in {share:.2g} % of the picture, where things come and go all the"
+            " time and never go anywhere: what stays there is not tracked (--no-learn: track it)."
+        )
+
+    def report(self, background: Image) -> Report:
+        """Figures, a sentence and a map of what was learned; empty for nothing.
+
+        ``background`` is a picture of the scene, (0, 0, 3) without one.
+        """
+        if self.learned is NOWHERE:
+            return Report({})
+        shares = self._shares
+        document: dict[str, object] = {
+            "flicker": {
+                "share_of_picture": float((shares >= _SHOWN).mean()),
+                "tracks_left_out": self.removed,
+            }
+        }
+        picture = charts.share_picture(shares, self.size, background)
+        section = render(
+            "flicker.html", sentence=self.sentence, removed=self.removed, picture=picture
+        )
+        return Report(document, (self.sentence,), section)
+
+    def _sightings(self, tracks: Tracks) -> Sightings:
+        """All detections, with the tracks that they belong to."""
+        return sightings_of(self.frames, tracks)
+
+
+def sightings_of(frames: Sequence[DetectedFrame], tracks: Tracks) -> Sightings:
+    """The detections of frames, with the tracks that they belong to.
+
+    Parameters
+    ----------
+    frames : in their order.
+    tracks : whose ``detection`` counts in the detections of their frames.
+    """
+    count = np.array([len(one.detections) for one in frames], np.int64)
+    number = np.array([one.frame.number for one in frames], np.int64)
+    time = np.array([one.frame.time for one in frames])
+    first = np.cumsum(count) - count
+    identity = np.full(int(count.sum()), -1)
+    rows = tracks.detection >= 0
+    at = np.searchsorted(number, tracks.frame[rows])
+    identity[first[at] + tracks.detection[rows]] = tracks.identity[rows]
+    boxes = [np.zeros((0, 4)), *(one.detections.xyxy for one in frames)]
+    return sightings(np.concatenate(boxes), np.repeat(time, count), identity)
