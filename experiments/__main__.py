@@ -44,6 +44,7 @@ EXPERIMENTS = {
     ),
     "videos": Experiment("from a video to tracks, with the package's detectors"),
     "counting": Experiment("counts at lines and in zones of real video, against the truth"),
+    "suggestions": Experiment("suggestions for labelling: how many of those ticked are false"),
     "blobs": Experiment("merged and split blobs, with and without the merged-measurement model"),
     "m07": Experiment("M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
     "m09": Experiment(

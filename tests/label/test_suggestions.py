@@ -163,3 +163,46 @@ def test_what_goes_wrong_is_known():
     while not background.problem and time.monotonic() < end:
         time.sleep(0.01)
     assert background.problem == "the disk is full"
+
+
+def going_through(frame_size=(0.0, 0.0), start=100.0, background=True):
+    """Suggestions where somebody walks by, whom the filter rejects for a while, and a place where
+    something comes again and again, for half a second each.
+    """
+    walker = [(k, start + 4 * k) for k in range(120)]
+    rows = [(k + 1, x, 100.0, 7 if k % 10 else -1) for k, x in walker]
+    rows += [(k + j, 300.0, 200.0, -1) for k in range(20, 1500, 60) for j in range(12)]
+    frame, x, y, identity = np.array(sorted(rows)).T
+    box = np.stack([x, y, x + 30, y + 60], axis=1)
+    table = DetectionTable(frame.astype(int), Detections.of(box))
+    own = identity > 0
+    first = np.searchsorted(frame, frame)
+    ones = np.ones(own.sum())
+    tracks = Tracks(
+        frame[own].astype(int),
+        identity[own].astype(int),
+        box[own],
+        ones,
+        (np.arange(len(frame)) - first)[own],
+        ones > 0,
+    )
+    clutter = np.where(own, 0.0, 0.99)
+    evidence = Evidence(
+        table, Clock.constant(FPS), range(1, 1501), clutter, tracks, frame_size, background
+    )
+    return [(one, table.at(one.frame).xyxy[one.box]) for one in suggest(evidence, range(1, 1501))]
+
+
+def test_what_moved_through_is_not_ticked_but_what_flickers_is():
+    found = going_through()
+    ticked = [box for one, box in found if one.score >= TICKED]
+    assert len(ticked) > 200
+    assert all(box[1] == 200 for box in ticked)
+    # Another detector than one of backgrounds also has false boxes that come once.
+    others = going_through(background=False)
+    assert any(one.reason == "rejected" and one.score >= TICKED for one, _ in others)
+
+
+def test_what_the_border_cuts_off_is_not_ticked():
+    found = going_through(frame_size=(331.0, 400.0))
+    assert not any(one.score >= TICKED for one, _ in found)

@@ -81,6 +81,7 @@ def learn(
             labels=file,
             advance=advance,
             clock=sequence.clock,
+            background=sequence.background,
         ).train(births, clutter)
     output.say(*trained.sentences)
     nothing = trained.scene.births is None and trained.scene.clutter is None

@@ -85,6 +85,7 @@ class SceneTraining:
     marks, labels : a person's marks, None if there are none, and their file.
     advance : called with the number of frames tracked.
     clock : the times of the frames; None for a constant rate.
+    background : whether a background detector finds the detections.
     """
 
     source: str
@@ -97,6 +98,7 @@ class SceneTraining:
     labels: Path
     advance: Callable[[int], object]
     clock: Clock | None = None
+    background: bool = False
 
     def train(self, births: str, clutter: str) -> Trained:
         """The scene from ``births`` of "tracks" or marked by "hand", and ``clutter`` of "labels" or
@@ -311,7 +313,11 @@ class SceneTraining:
         if alarms is not None:
             own = {code: _with_alarms(stages, alarms) for code, stages in classes.own.items()}
             classes = replace(classes, usual=_with_alarms(self.stages, alarms), own=own)
-        return Evidence.of(self.table, self._times, self.stretch, classes, self.seed, self.advance)
+        return Evidence.of(
+            *(self.table, self._times, self.stretch, classes, self.seed, self.advance),
+            frame_size=self._size,
+            background=self.background,
+        )
 
     def _with_prior(self, learned: LearnedDensity) -> LearnedDensity:
         """The learned density, mixed with a little of all sizes detected in the stretch."""

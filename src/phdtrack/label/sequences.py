@@ -17,6 +17,7 @@ from phdtrack import __version__
 from phdtrack.arrays import pixelated
 from phdtrack.clock import Clock
 from phdtrack.config import Settings, build_classes
+from phdtrack.detect import BACKGROUND
 from phdtrack.devices import size_of
 from phdtrack.errors import InputError
 from phdtrack.files import write_text
@@ -56,6 +57,7 @@ class LabelledSequence:
     digest : of the detections.
     classes : that there may be; None if unknown.
     clock : the times of the frames; None for a constant rate.
+    background : whether a background detector finds the detections.
     """
 
     name: str
@@ -65,6 +67,7 @@ class LabelledSequence:
     names: Mapping[int, str] | None = None
     classes: frozenset[int] | None = None
     clock: Clock | None = None
+    background: bool = False
 
     def stages(self, settings: Settings) -> ClassSettings:
         """The stages of its classes."""
@@ -119,7 +122,10 @@ def open_sequence(
     digest = hashlib.sha256(content).hexdigest()[:32]
     info = replace(inputs.info, frames=last)
     clock = inputs.source.clock()
-    return LabelledSequence(inputs.name, info, table, digest, inputs.names, inputs.classes, clock)
+    background = inputs.described in BACKGROUND
+    return LabelledSequence(
+        inputs.name, info, table, digest, inputs.names, inputs.classes, clock, background
+    )
 
 
 def _kept_detections(
@@ -266,6 +272,8 @@ def suggestions(
         range(1, last + 1),
         sequence.stages(settings),
         advance=lambda count: advance(count / last),
+        frame_size=(float(sequence.info.width), float(sequence.info.height)),
+        background=sequence.background,
     )
     made = suggest(evidence, frames)
     write_text(file, json.dumps({"key": key, "rows": made}) + "\n")

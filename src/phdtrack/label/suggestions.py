@@ -9,13 +9,19 @@ There are three reasons, each with a score from 0 to 1:
     a place of false alarms. An object that stays for s seconds gives n ~ Poisson(s · fps) of them,
     in few runs. False alarms occur all the time: on n of T frames at random, in n(T − n + 1)/T runs
     [Wald and Wolfowitz 1940], or in bursts with hardly any gap of s seconds. The score is P(N < n)
-    times the degree to which one of the two holds.
+    times the degree to which one of the two holds. With a background detector, which finds leaves
+    in bursts, a place also counts in which things come again and again and never go anywhere
+    (`scene.flicker`).
 ``rejected``
     The filter rejected it as clutter and no track uses it. The score is its posterior probability
-    κ/(κ + C) of being clutter.
+    κ/(κ + C) of being clutter. Where a background detector finds something, something moves: this
+    alone is never enough to be ticked.
 ``short``
     Its track was short and hardly moved, or it has no track. The score is at most 0.4, halved with
     each second of the track's life. Most such detections are true, so they are only shown.
+
+What belongs to an object that went somewhere is never suggested, and what the border of the picture
+cuts off, where objects enter, never ticked.
 
 None of them is proof: a person sitting in one place all the time looks like a place of false
 alarms, and a person hidden half of the time in a crowd is rejected.
@@ -37,6 +43,13 @@ from phdtrack.detect.table_detector import frames_walked
 from phdtrack.multiclass import ClassSettings
 from phdtrack.protocols import AnyStages
 from phdtrack.run.loop import TrackedFrame, table_frames, track_frames
+from phdtrack.scene.flicker import (
+    Sightings,
+    learn_flicker,
+    of_objects,
+    touches_border,
+    travellers,
+)
 from phdtrack.tracker import Tracker
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
@@ -62,6 +75,10 @@ _WINDOWS = 15
 # Seconds up to which a track is short, and its largest score.
 SHORT = 1.0
 _MAX_SHORT = 0.4
+# Largest score of what is not sure enough to be ticked; exponent of the probability that a place
+# flickers: one of more than twice as many arrivals as visits of objects is ticked.
+_MAX_UNSURE = 0.85
+_FLICKER = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +90,8 @@ class Evidence:
     table, clock, frames : the stretch's detections, M rows, its times, and its frames.
     clutter : (M,) the posterior probability that each is a false alarm.
     tracks : the corrected ones, whose ``detection`` counts within the frame.
+    frame_size : width and height of a frame, pixels; (0, 0): unknown.
+    background : whether a background detector found the detections.
     """
 
     table: DetectionTable
@@ -80,6 +99,13 @@ class Evidence:
     frames: range
     clutter: F8
     tracks: Tracks
+    frame_size: tuple[float, float] = (0.0, 0.0)
+    background: bool = False
+
+    @property
+    def cut_off(self) -> Bool:
+        """(M,) True for detections that the border of the picture may cut off."""
+        return touches_border(to_cxcywh(self.table.detections.xyxy), self.frame_size)
 
     @classmethod
     def of(
@@ -90,6 +116,8 @@ class Evidence:
         stages: AnyStages | ClassSettings,
         seed: int = 0,
         advance: Callable[[int], object] = id,
+        frame_size: tuple[float, float] = (0.0, 0.0),
+        background: bool = False,
     ) -> Evidence:
         """The result of a tracker on the detections of some frames.
 
@@ -102,6 +130,8 @@ class Evidence:
         frames : the stretch.
         stages, seed : how to track.
         advance : called with the number of frames done.
+        frame_size : width and height, pixels; (0, 0): unknown.
+        background : whether a background detector found the detections.
         """
         rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
         stretch = DetectionTable(table.frame[rows], table.detections.select(rows))
@@ -111,7 +141,8 @@ class Evidence:
         numbers = frames_walked(table, frames.stop - 1, clock.rate)
         inside = (number for number in numbers if number >= frames.start)
         track_frames(tracker, table_frames(table, inside, clock), (clutter,))
-        return cls(stretch, clock, frames, np.concatenate(clutter.values), tracker.tracks())
+        false = np.concatenate(clutter.values)
+        return cls(stretch, clock, frames, false, tracker.tracks(), frame_size, background)
 
 
 class _ClutterProbabilities:
@@ -154,11 +185,21 @@ def suggest(evidence: Evidence, frames: Sequence[int]) -> list[Suggestion]:
     own = _tracks_of(table, evidence.tracks)
     speed, span = _lives(table, own, evidence.clock)
     requested = np.isin(table.frame, np.asarray(frames, np.int64))
-    goes = speed >= SLOW
+    box = to_cxcywh(table.detections.xyxy)
+    seen = Sightings(box, evidence.clock.times(table.frame), own)
+    objects = travellers(seen)
+    # A background detector also finds objects in parts.
+    went = of_objects(seen, objects) if evidence.background else np.isin(own, objects)
+    goes = (speed >= SLOW) | went
     place, fires = _places(evidence, ~goes, requested & ~goes)
     rejected = np.where(own >= 0, 0.0, evidence.clutter)
+    if evidence.background:
+        place, fires = _or_flickering(place, fires, np.where(goes, 0.0, _flicker(evidence, seen)))
+        # Something moves there, even if no track follows it.
+        rejected = np.minimum(rejected, _MAX_UNSURE)
     short = np.where(~goes & (span < SHORT), _MAX_SHORT * 0.5**span * (1 - speed / SLOW), 0.0)
-    scores = np.stack([fires, rejected, short])
+    scores = np.where(went, 0.0, np.stack([fires, rejected, short]))
+    scores = np.minimum(scores, np.where(evidence.cut_off, _MAX_UNSURE, 1.0))
     reason = scores.argmax(axis=0)
     score = scores.max(axis=0)
     rows = np.flatnonzero(requested & (score >= SHOWN))
@@ -173,6 +214,21 @@ def suggest(evidence: Evidence, frames: Sequence[int]) -> list[Suggestion]:
         Suggestion(n, box, REASONS[why], sure, at)
         for n, box, why, sure, at in zip(*columns, strict=True)
     ]
+
+
+def _flicker(evidence: Evidence, seen: Sightings) -> F8:
+    """(M,) the score of places in which things come again and again and never go anywhere."""
+    learned = learn_flicker(seen, evidence.frame_size)
+    odds = learned.odds_among(seen.box, learned.others(seen.box))
+    return np.asarray((1 - odds) ** _FLICKER)
+
+
+def _or_flickering(place: I8, fires: F8, flicker: F8) -> tuple[I8, F8]:
+    """The places (M,) and their scores (M,), of which those without a number that flicker share a
+    further one.
+    """
+    more = (place < 0) & (flicker > fires)
+    return np.where(more, place.max(initial=-1) + 1, place), np.maximum(fires, flicker)
 
 
 def _tracks_of(table: DetectionTable, tracks: Tracks) -> I8:
