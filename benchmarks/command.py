@@ -260,7 +260,8 @@ def detectors(video: Path, warm: int = 20) -> dict[str, float]:
 
     One after the other, for each empties the other's caches.
     """
-    from phdtrack.detect.detectors import make_detector, study, working_width
+    from phdtrack.detect.detectors import make_detector, working_width
+    from phdtrack.detect.scene_knowledge import study
     from phdtrack.video import open_source
 
     source = open_source(video)
