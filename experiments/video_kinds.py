@@ -14,12 +14,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from experiments.common import Options, in_parallel, need_data, table
 from experiments.doubt import JudgedRun, doubt_table, error_table
+from phdtrack.arrays import iou
+from phdtrack.formats import read_tracks
+from phdtrack.types import Tracks
+from phdtrack.video import open_source
 
 DETECTORS = ("change", "mog2")
+# The scene whose worst frame is drawn, and the overlap from which two boxes match.
+SHOWN = "arcade"
+MATCH = 0.5
 # Values around the shipped one that is in the middle, tried one by one.
 TRIED = {
     "detector.false_alarm": (0.003, 0.0055, 0.01),
@@ -184,6 +192,34 @@ def chosen_elsewhere(
     return float(np.mean(means)), choices
 
 
+def draw_worst(run: KindRun, path: Path) -> int:
+    """Write a picture of the frame with the most errors of a run on a rendered scene: truth in
+    white, tracks in orange. Returns its number.
+    """
+    base = run.runs if run.video.rendered else need_data()
+    truth = read_tracks(base / run.video.truth)
+    tracks = read_tracks(run.out / "tracks.csv")
+    worst = max(np.unique(truth.frame), key=lambda number: _errors(truth, tracks, int(number)))
+    for frame in open_source(str(base / run.video.source)):
+        if frame.number == worst:
+            picture = cv2.resize(frame.image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+            for rows, colour in ((truth, (255, 255, 255)), (tracks, (0, 140, 255))):
+                for left, top, right, bottom in 2 * rows.xyxy[rows.frame == worst].round():
+                    corners = (int(left), int(top)), (int(right), int(bottom))
+                    cv2.rectangle(picture, *corners, colour, 2)
+            cv2.imwrite(str(path), picture)
+            break
+    return int(worst)
+
+
+def _errors(truth: Tracks, tracks: Tracks, number: int) -> int:
+    """Boxes of both kinds that overlap none of the other kind by half in a frame."""
+    there = truth.xyxy[truth.frame == number]
+    found = tracks.xyxy[tracks.frame == number]
+    near = iou(there, found) >= MATCH
+    return int((~near.any(axis=1)).sum() + (~near.any(axis=0)).sum())
+
+
 def kinds_tables(options: Options, runs: Path) -> dict[str, str]:
     """The tables of the page: by video, by kind, of the settings, and of the warnings."""
     videos = VIDEOS[1:2] if options.quick else VIDEOS
@@ -207,6 +243,8 @@ def kinds_tables(options: Options, runs: Path) -> dict[str, str]:
         ]
         for video, score, plain in zip(videos, default, other, strict=True)
     ]
+    shown = [job for job in jobs[: len(videos)] if job.video.name == SHOWN]
+    worst = [draw_worst(job, options.folder / "videos-worst.png") for job in shown]
     judged = [
         JudgedRun.of(job.video.name, job.video.kind, job.out, score.mota)
         for job, score in zip(jobs, found, strict=True)
@@ -227,6 +265,7 @@ def kinds_tables(options: Options, runs: Path) -> dict[str, str]:
             ),
             by_video,
         ),
+        "worst": ", ".join(map(str, worst)) or "–",
         "settings": _settings(tried, videos, default, options, runs),
         "doubt": doubt_table(judged),
         "warnings": error_table(judged),

@@ -136,9 +136,12 @@ class SceneLesson:
         if self.learned is NOWHERE:
             return ""
         share = 100 * float((self._shares >= _SHOWN).mean())
+        where = f"in {share:.0f} % of the picture"
+        if share < 1:
+            where = "in a few small places"
         return (
-            f"The scene flickers in {share:.2g} % of the picture, where things come and go all the"
-            " time and never go anywhere: what stays there is not tracked (--no-learn: track it)."
+            f"The scene flickers {where}: things come and go there all the time and never go"
+            " anywhere. What stays there is not tracked (--no-learn: track it)."
         )
 
     def report(self, background: Image) -> Report:
