@@ -8,7 +8,8 @@ all.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -36,7 +37,7 @@ from phdtrack.scene.flicker import (
     travellers,
     without_flicker,
 )
-from phdtrack.types import F8, Frame, Image, Tracks
+from phdtrack.types import F8, I8, Detections, Frame, Image, Tracks
 
 # Rows of the map of where a scene flickers.
 _ROWS = 72
@@ -76,6 +77,90 @@ def can_learn(run: Run) -> bool:
     return run.options.learn and background and inputs.again
 
 
+class KeptFrames:
+    """Detected frames without their pictures, kept for a second pass.
+
+    A long file has a million of them: of frames with nothing but boxes only these are kept, in
+    arrays.
+    """
+
+    def __init__(self) -> None:
+        self._number = array("q")
+        self._time = array("d")
+        self._seconds = array("d")
+        self._count = array("q")
+        self._boxes = array("d")
+        # Frames with more than boxes, by their place.
+        self._whole = dict[int, DetectedFrame]()
+
+    def __len__(self) -> int:
+        return len(self._number)
+
+    def append(self, detected: DetectedFrame) -> None:
+        """Keep a frame."""
+        frame = detected.frame
+        found = detected.detections
+        bare = DetectedFrame(
+            Frame(frame.number, frame.time, NO_PICTURE),
+            Detections.of(found.xyxy),
+            seconds=detected.seconds,
+        )
+        whole = detected._replace(frame=bare.frame)
+        if not _alike(whole, bare):
+            self._whole[len(self)] = whole
+        self._number.append(frame.number)
+        self._time.append(frame.time)
+        self._seconds.append(detected.seconds)
+        self._count.append(len(found))
+        self._boxes.frombytes(np.ascontiguousarray(found.xyxy).tobytes())
+
+    def __iter__(self) -> Iterator[DetectedFrame]:
+        boxes = self.boxes
+        first = 0
+        for k, number in enumerate(self._number):
+            last = first + self._count[k]
+            whole = self._whole.get(k)
+            if whole is None:
+                yield DetectedFrame(
+                    Frame(number, self._time[k], NO_PICTURE),
+                    Detections.of(boxes[first:last]),
+                    seconds=self._seconds[k],
+                )
+            else:
+                yield whole
+            first = last
+
+    @property
+    def boxes(self) -> F8:
+        """(N, 4) the boxes of all frames."""
+        return np.array(self._boxes, np.float64).reshape(-1, 4)
+
+    @property
+    def columns(self) -> tuple[I8, F8, I8]:
+        """(L,) number and time of each frame, and how many detections it has."""
+        return (
+            np.array(self._number, np.int64),
+            np.array(self._time, np.float64),
+            np.array(self._count, np.int64),
+        )
+
+
+def _alike(one: DetectedFrame, other: DetectedFrame) -> bool:
+    """True if two frames have the same detections and motion of the camera."""
+    found = one.detections
+    same = found.observed == other.detections.observed and found.covariance is None
+    columns = ("confidence", "class_id", "row")
+    return (
+        same
+        and all(
+            np.array_equal(getattr(found, name), getattr(other.detections, name))
+            for name in columns
+        )
+        and np.array_equal(one.warp, other.warp)
+        and np.array_equal(one.pose, other.pose)
+    )
+
+
 @dataclass(eq=False)
 class SceneLesson:
     """The detections of the first pass, and what they teach.
@@ -89,7 +174,7 @@ class SceneLesson:
     """
 
     size: tuple[int, int]
-    frames: list[DetectedFrame] = field(default_factory=list)
+    frames: KeptFrames = field(default_factory=KeptFrames)
     learned: FlickerMap = NOWHERE
     removed: int = 0
     _came: Arrivals = NO_ARRIVALS
@@ -97,9 +182,7 @@ class SceneLesson:
 
     def take(self, tracked: TrackedFrame) -> None:
         """Keep the detections of a frame."""
-        frame = tracked.detected.frame
-        empty = Frame(frame.number, frame.time, NO_PICTURE)
-        self.frames.append(tracked.detected._replace(frame=empty))
+        self.frames.append(tracked.detected)
 
     def learn(self, tracks: Tracks) -> None:
         """Learn from the corrected tracks of the first pass."""
@@ -169,7 +252,7 @@ class SceneLesson:
         return sightings_of(self.frames, tracks)
 
 
-def sightings_of(frames: Sequence[DetectedFrame], tracks: Tracks) -> Sightings:
+def sightings_of(frames: KeptFrames, tracks: Tracks) -> Sightings:
     """The detections of frames, with the tracks that they belong to.
 
     Parameters
@@ -177,13 +260,10 @@ def sightings_of(frames: Sequence[DetectedFrame], tracks: Tracks) -> Sightings:
     frames : in their order.
     tracks : whose ``detection`` counts in the detections of their frames.
     """
-    count = np.array([len(one.detections) for one in frames], np.int64)
-    number = np.array([one.frame.number for one in frames], np.int64)
-    time = np.array([one.frame.time for one in frames])
+    number, time, count = frames.columns
     first = np.cumsum(count) - count
     identity = np.full(int(count.sum()), -1)
     rows = tracks.detection >= 0
     at = np.searchsorted(number, tracks.frame[rows])
     identity[first[at] + tracks.detection[rows]] = tracks.identity[rows]
-    boxes = [np.zeros((0, 4)), *(one.detections.xyxy for one in frames)]
-    return sightings(np.concatenate(boxes), np.repeat(time, count), identity)
+    return sightings(frames.boxes, np.repeat(time, count), identity)
