@@ -32,8 +32,6 @@ MATCH = 0.5
 TRIED = {
     "detector.false_alarm": (0.003, 0.0055, 0.01),
     "detector.closing": (0.018, 0.026, 0.036),
-    "detector.shadow": (0.08, 0.11, 0.15),
-    "detector.adapt": (5.0, 10.0, 20.0),
 }
 
 
