@@ -57,8 +57,8 @@ def test_changed_pixels_are_those_of_the_definition(
     )
     flat = twin.parted(image)
     then = twin.parted(reference)
-    mask, energy = compare(
-        flat, flat, then, light, scene, rule(window), CAMERA, nothing(len(flat), height, width)
+    mask, energy, _ = compare(
+        flat, then, light, scene, rule(window), CAMERA, nothing(len(flat), height, width)
     )
     usual = twin.energy(image, twin.relit(reference.astype(float), gain, offset), WEIGHTS)
     np.testing.assert_allclose(energy, usual, rtol=1e-3, atol=2e-3)
@@ -84,12 +84,9 @@ def test_pixels_like_earlier_samples_have_not_changed(rng: np.random.Generator) 
     past = Past(seen, differing, *twin.extremes(seen, height, width))
     then = twin.parted(reference)
     before = (
-        compare(flat, flat, then, SAME, scene, rule(3), CAMERA, nothing(len(flat), height, width))[
-            0
-        ]
-        > 0
+        compare(flat, then, SAME, scene, rule(3), CAMERA, nothing(len(flat), height, width))[0] > 0
     )
-    after = compare(flat, flat, then, SAME, scene, rule(3), CAMERA, past)[0] > 0
+    after = compare(flat, then, SAME, scene, rule(3), CAMERA, past)[0] > 0
     known = twin.recalled(now, samples, differing, WEIGHTS, 3.0)
     np.testing.assert_array_equal(after, before & ~known)
     # Some of it is known from nearby alone.
@@ -159,13 +156,15 @@ def test_pixels_are_compared_with_the_past_in_one_light(rng: np.random.Generator
     dim = leaf.copy()
     dim[..., 0] = 16 + (60 - 16) // 2
     scene = np.full((height, width), 3, np.float32)
-    flat = twin.parted(dim)
-    level = relit(flat, light, (height, width))
     then = twin.parted(reference)
-    for past_picture, seen in ((level, False), (flat, True)):
-        mask, _ = compare(flat, past_picture, then, light, scene, rule(3), CAMERA, past)
-        assert bool(mask.all()) == seen
-        assert bool(mask.any()) == seen
+    mask, _, level = compare(twin.parted(dim), then, light, scene, rule(3), CAMERA, past)
+    assert not mask.any()
+    np.testing.assert_allclose(level[: height * width], 60, atol=1)
+    # What nobody has seen is still a change.
+    other = dim.copy()
+    other[..., 0] = 150
+    mask = compare(twin.parted(other), then, light, scene, rule(3), CAMERA, past)[0]
+    assert mask.all()
 
 
 def test_saturated_pixels_have_not_changed() -> None:
@@ -178,15 +177,8 @@ def test_saturated_pixels_have_not_changed() -> None:
     light[0, 0] = 2.0
     past = nothing(216, 12, 12)
     scene = np.ones((12, 12), np.float32)
-    mask, energy = compare(
-        twin.parted(image),
-        twin.parted(image),
-        twin.parted(reference),
-        light,
-        scene,
-        rule(3),
-        CAMERA,
-        past,
+    mask, energy, _ = compare(
+        twin.parted(image), twin.parted(reference), light, scene, rule(3), CAMERA, past
     )
     assert not mask.any()
     np.testing.assert_allclose(energy, 0, atol=1e-6)
@@ -324,8 +316,8 @@ def test_one_call_does_all_steps_of_a_frame(
     )
     light = lighting(then, flat, foreground, 2)
     across, down = beyond
-    raw, energy = compare(flat, flat, then, light, scene, rule(3), camera, past)
-    for one, other in zip(found, (energy, light, flat), strict=True):
+    raw, energy, level = compare(flat, then, light, scene, rule(3), camera, past)
+    for one, other in zip(found, (energy, light, level), strict=True):
         np.testing.assert_array_equal(one, other)
     inside = np.zeros((height, width), np.bool_)
     inside[down : height - down, across : width - across] = True

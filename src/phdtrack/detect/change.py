@@ -451,15 +451,8 @@ class ChangeDetector:
         past = self._past
         if not recall:
             past = past._replace(samples=np.zeros((current.size, 0), np.uint8))
-        mask, energy = compare(
-            current,
-            current,
-            reference,
-            _SAME_LIGHT,
-            self._scene[rows],
-            self._rule,
-            self._camera,
-            past,
+        mask, energy, _ = compare(
+            current, reference, _SAME_LIGHT, self._scene[rows], self._rule, self._camera, past
         )
         return mask, energy
 

@@ -150,10 +150,7 @@ def changed(
     for c in range(3):
         camera[c] += (1 - _MEMORY) * (quartile(counts[c]) / _QUARTILE_OF_DIFFERENCES - camera[c])
     light = lighting(reference, image, foreground, steps[1])
-    level = image
-    if past.samples.shape[1]:
-        level = relit(image, light, scene.shape)
-    raw, energy = compare(image, level, reference, light, scene, rule, camera, past)
+    raw, energy, level = compare(image, reference, light, scene, rule, camera, past)
     _border(raw, beyond, 0)
     mask, near = cleaned(raw, cleaning, MARGIN)
     foreground[:] = near
@@ -163,20 +160,13 @@ def changed(
 
 @njit(**ENTRY)
 def compare(
-    image: U1,
-    level: U1,
-    reference: F4,
-    light: F4,
-    scene: F4,
-    rule: Statistic,
-    camera: F8,
-    past: Past,
-) -> tuple[U1, F4]:
+    image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, camera: F8, past: Past
+) -> tuple[U1, F4, U1]:
     """(H, W) 255 for pixels of ``image`` that changed against the ``reference`` in another
-    ``light``, and (H, W) the energy.
+    ``light``, (H, W) the energy, and (n,) the image in the light of the reference, if there is a
+    past.
 
-    ``image``, ``reference`` (n,); ``level`` (n,): the image in the light of the reference;
-    ``light`` (3, 4) from `lighting`; ``scene`` (H, W): the usual
+    ``image``, ``reference`` (n,); ``light`` (3, 4) from `lighting`; ``scene`` (H, W): the usual
     energy, three times s; ``rule``, ``past``: see above; ``camera`` (3,): deviations of brightness
     and of colours by the camera's noise.
     """
@@ -190,6 +180,9 @@ def compare(
     least = F(rule.threshold / 2)
     weights = _weights(rule.local, camera)
     count = past.samples.shape[1]
+    level = image
+    if count:
+        level = relit(image, light, scene.shape)
     alike = Alike(weights, F(rule.alike), _reaches(weights, F(rule.alike)))
     # Arrays of a row: brightness, the colours' part of the energy and the colours' part of the
     # light of every other pixel; the last two of all pixels; and the sums over columns of the
@@ -214,7 +207,7 @@ def compare(
             _passed(at, normal, total, limit, least, mask)
             if count:
                 _recall(level, alike, past, at, work, mask)
-    return mask, energy
+    return mask, energy, level
 
 
 @njit(**ENTRY)
