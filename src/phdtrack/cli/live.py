@@ -128,8 +128,6 @@ def live(
             lines.put_nowait(event)
 
     reports = reported_kind(detector)
-    if reports:
-        output.say(reports)
     told = send if output.json else lambda event: None
     cameras = [
         Camera(
@@ -146,6 +144,8 @@ def live(
             one.start([Courier(one.log, send, name) for name, send in _receivers(write)])
         if server is not None:
             server.start(cameras, output, write.unhealthy_after)
+        if reports:
+            output.say(reports)
         _attend(cameras, lines, output, time.monotonic() + (duration or math.inf))
     except KeyboardInterrupt:
         signals.last_chance("stopped; the files are being completed")
