@@ -44,12 +44,14 @@ def test_recurrences_are_counted_for_each_patch(
 def test_the_first_samples_with_the_same_patch_are_found(rng: np.random.Generator) -> None:
     samples = pictures(rng, 12, 17)
     chosen = rng.integers(0, 9, (12, 17))
-    found = same_patches(samples, TOLERANCE, REACH, SHARE, chosen, 3)
+    found, runs = same_patches(samples, TOLERANCE, REACH, SHARE, chosen, 3)
     alike = same(samples)
     fewer = 0
     for y in range(12):
         for x in range(17):
-            which = np.flatnonzero(alike[chosen[y, x], :, y, x])[:3]
+            there = alike[chosen[y, x], :, y, x]
+            assert runs[y, x] == there[0] + (there[1:] & ~there[:-1]).sum()
+            which = np.flatnonzero(there)[:3]
             fewer += len(which) < 3
             rest = [chosen[y, x]] * (3 - len(which))
             assert found[:, y, x].tolist() == [*which, *rest]

@@ -39,10 +39,12 @@ _WRONG = 12.0
 _HIDDEN = 6.0
 # Patches of the low-resolution picture have so many pixels to each side of their middle, and are
 # the same if this share of them is within `_SAME`. One that recurs in this share of the samples is
-# the scene; its pixels are the medians of so many samples.
+# the scene, if it is in at most this share of the runs that there would be in random order; its
+# pixels are the medians of so many samples.
 _REACH = 3
 _ALIKE = 0.8
 _RECURS = 0.4
+_STAYS = 0.75
 _FEW = 5
 # Above this share of uncertain pixels the boundary values are too few to integrate from.
 _MAX_UNCERTAIN = 0.95
@@ -203,10 +205,15 @@ def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image,
 def _recurring(small: Image) -> tuple[Bool, I8]:
     """(h, w) True where a patch recurs so often in samples (K, h, w, 3) that it is the scene, and
     (`_FEW`, h, w) samples that show it.
+
+    It is visible for a while and hidden for a while; leaves change all the time.
     """
     counts = recurrences(small, _SAME, _REACH, _ALIKE)
-    alike = same_patches(small, _SAME, _REACH, _ALIKE, counts.argmax(axis=0), _FEW)
-    return np.asarray(counts.max(axis=0) + 1 >= _RECURS * len(small)), np.asarray(alike)
+    alike, runs = same_patches(small, _SAME, _REACH, _ALIKE, counts.argmax(axis=0), _FEW)
+    often = counts.max(axis=0) + 1
+    total = len(small)
+    at_random = often * (total - often + 1) / total
+    return np.asarray((often >= _RECURS * total) & (runs <= _STAYS * at_random)), np.asarray(alike)
 
 
 def _taken(samples: Sequence[Image], index: I8, alike: I8) -> Image:

@@ -47,32 +47,40 @@ def recurrences(samples: U1, tolerance: int, reach: int, share: float) -> I8:
 
 
 @njit(**ENTRY)
-def same_patches(samples: U1, tolerance: int, reach: int, share: float, chosen: I8, few: int) -> I8:
+def same_patches(
+    samples: U1, tolerance: int, reach: int, share: float, chosen: I8, few: int
+) -> tuple[I8, I8]:
     """(few, h, w) the first samples in which the patch around each pixel is the same as in sample
-    ``chosen`` (h, w); that sample again where there are fewer.
+    ``chosen`` (h, w); that sample again where there are fewer. And (h, w) in how many runs of
+    samples it is the same.
 
     The other parameters are those of `recurrences`.
     """
     count, height, width, _ = samples.shape
     out = np.empty((few, height, width), np.int64)
+    runs = np.zeros((height, width), np.int64)
     least = share * (2 * reach + 1) ** 2
     for y in range(height):
         for x in range(width):
             k = chosen[y, x]
             found = 0
+            before = False
             for j in range(count):
-                if found == few or not _alike(samples, k, j, y, x, tolerance):
-                    continue
                 total = 0
-                for d in range(-reach, reach + 1):
-                    row = mirrored(y + d, height)
-                    for e in range(-reach, reach + 1):
-                        total += _alike(samples, k, j, row, mirrored(x + e, width), tolerance)
-                if total >= least:
+                if _alike(samples, k, j, y, x, tolerance):
+                    for d in range(-reach, reach + 1):
+                        row = mirrored(y + d, height)
+                        for e in range(-reach, reach + 1):
+                            total += _alike(samples, k, j, row, mirrored(x + e, width), tolerance)
+                now = total >= least
+                if now and found < few:
                     out[found, y, x] = j
                     found += 1
+                if now and not before:
+                    runs[y, x] += 1
+                before = now
             out[found:, y, x] = k
-    return out
+    return out, runs
 
 
 @njit(**INNER)
