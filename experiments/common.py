@@ -290,6 +290,17 @@ def _say(text: str, *, changing: bool = False, last: bool = True) -> None:
     )
 
 
+def phdtrack(*arguments: str) -> str:
+    """The output of the command line with these arguments. Raises RuntimeError with its message if
+    it fails.
+    """
+    command = [sys.executable, "-m", "phdtrack", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
+    return done.stdout
+
+
 def run_peers(name: str, arguments: Sequence[object], jobs: int) -> None:
     """Run the module experiments.NAME_peers in the environment of the peers; ``jobs`` as in
     `Options`. Raises `InputError` if the environment is missing.

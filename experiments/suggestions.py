@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import ROOT, Options, in_parallel, need_data, table, write
+from experiments.video_kinds import SHORT, UNBOXED, KindVideo
+from experiments.video_kinds import VIDEOS as VIDEOS_WITH_BOXES
 from phdtrack.arrays import intersection, iou
 from phdtrack.formats import read_detections, read_truth
 from phdtrack.formats.truth import ignoring
@@ -33,70 +35,7 @@ TRUE_OVERLAP = 0.3
 TRUE_SHARE = 0.1
 # Least share of an object inside a box around several.
 INSIDE = 0.5
-SHORT = "TUD-Campus"
-
-
-@dataclass(frozen=True, slots=True)
-class SuggestedVideo:
-    """A video of some kind of scene.
-
-    Attributes
-    ----------
-    kind, name : of the scene, and of the video.
-    source, truth, ignored : files below the folder of data; an empty truth: nothing is there.
-    empty : the last frame without objects, of an empty truth.
-    masks : whether the truth is boxes around what moves.
-    """
-
-    kind: str
-    name: str
-    source: str
-    truth: str = ""
-    ignored: str = ""
-    empty: int = 0
-    masks: bool = False
-
-
-def _labelled(kind: str, name: str) -> SuggestedVideo:
-    """A video with sparse truth made by hand."""
-    folder = f"video/{name}"
-    truth = f"{folder}/gt/gt.txt"
-    return SuggestedVideo(kind, name, f"{folder}/{name}.mp4", truth, f"{folder}/gt/ignore.csv")
-
-
-def _masked(kind: str, name: str) -> SuggestedVideo:
-    """A video whose truth is masks."""
-    folder = f"video/{name}"
-    return SuggestedVideo(kind, name, f"{folder}/{name}.mp4", f"{folder}/gt/boxes.txt", masks=True)
-
-
-def _mot15(name: str) -> SuggestedVideo:
-    """A sequence of MOT15."""
-    folder = f"mot15/{name}"
-    return SuggestedVideo("street", name, f"{folder}/{name}.mp4", f"{folder}/gt/gt.txt")
-
-
-VIDEOS = (
-    _mot15("PETS09-S2L1"),
-    _mot15(SHORT),
-    SuggestedVideo(
-        "indoor", "OneLeaveShop1cor", "caviar/OneLeaveShop1cor.mpg", "caviar/cols1gt.xml"
-    ),
-    _labelled("indoor", "reader-indoor"),
-    _labelled("indoor", "worker-gif"),
-    _labelled("crowd", "crowd-hall"),
-    _labelled("traffic", "motorway-cctv"),
-    _labelled("traffic", "carpark-gif"),
-    _masked("traffic", "cdnet-highway"),
-    _masked("jitter", "cdnet-traffic-jitter"),
-    _labelled("shadows", "pets2001-d3c1"),
-    SuggestedVideo(
-        "trees",
-        "wallflower-WavingTrees",
-        "video/wallflower-WavingTrees/wallflower-WavingTrees.mp4",
-        empty=242,
-    ),
-)
+VIDEOS = tuple(video for video in (*VIDEOS_WITH_BOXES, *UNBOXED) if not video.rendered)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +50,7 @@ class Precision:
     shown_false: Counter[str]
 
 
-def wrong(detections: DetectionTable, video: SuggestedVideo) -> F8:
+def wrong(detections: DetectionTable, video: KindVideo) -> F8:
     """(M,) 1 for a detection that is false, 0 for a true one, and NaN where that is unknown."""
     frames = detections.frame
     if not video.truth:
@@ -189,7 +128,7 @@ def precision(found: Sequence[Suggestion], detections: DetectionTable, false: F8
     return counts
 
 
-def work(job: tuple[SuggestedVideo, Path]) -> Precision:
+def work(job: tuple[KindVideo, Path]) -> Precision:
     """The precision of what `phdtrack label` suggests on a video, in as many frames with truth as a
     person would be shown, at most.
     """
@@ -225,7 +164,7 @@ def main(options: Options) -> Path:
     )
 
 
-def _by_kind(measured: Mapping[SuggestedVideo, Precision]) -> list[list[object]]:
+def _by_kind(measured: Mapping[KindVideo, Precision]) -> list[list[object]]:
     """The rows of the kinds of scene."""
     kinds = dict.fromkeys(video.kind for video in measured)
     return [

@@ -8,8 +8,6 @@ Settings of the change detector are chosen anew without each kind, and judged on
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from experiments.common import Options, in_parallel, need_data, table
+from experiments.common import Options, in_parallel, need_data, phdtrack, table
 from experiments.doubt import JudgedRun, doubt_table, error_table
 from phdtrack.arrays import iou
 from phdtrack.formats import read_tracks
@@ -37,52 +35,79 @@ TRIED = {
 
 @dataclass(frozen=True, slots=True)
 class KindVideo:
-    """A video with truth boxes.
+    """A video of some kind of scene.
 
     Attributes
     ----------
-    name, kind : of the video, and of its scene.
-    source, truth : files below the data, or below the runs if the scene is rendered.
+    kind, name : of the scene, and of the video.
+    source, truth : files below the data, or below the runs if the scene is rendered; an empty
+        truth: nothing is there.
     ignored : file of regions and frames that do not count, or "".
     rendered : whether the scene is rendered.
+    masks : whether the truth is boxes around what moves.
+    empty : the last frame without objects, of an empty truth.
     """
 
-    name: str
     kind: str
+    name: str
     source: str
-    truth: str
+    truth: str = ""
     ignored: str = ""
     rendered: bool = False
+    masks: bool = False
+    empty: int = 0
 
 
-def _sparse(name: str, kind: str) -> KindVideo:
+def _sparse(kind: str, name: str) -> KindVideo:
     """A video with boxes on some of its frames."""
     folder = f"video/{name}"
-    return KindVideo(
-        name, kind, f"{folder}/{name}.mp4", f"{folder}/gt/gt.txt", f"{folder}/gt/ignore.csv"
-    )
+    truth = f"{folder}/gt/gt.txt"
+    return KindVideo(kind, name, f"{folder}/{name}.mp4", truth, f"{folder}/gt/ignore.csv")
 
 
+def _masked(kind: str, name: str) -> KindVideo:
+    """A video whose truth is masks."""
+    folder = f"video/{name}"
+    return KindVideo(kind, name, f"{folder}/{name}.mp4", f"{folder}/gt/boxes.txt", masks=True)
+
+
+def _mot15(name: str) -> KindVideo:
+    """A sequence of MOT15."""
+    folder = f"mot15/{name}"
+    return KindVideo("street", name, f"{folder}/{name}.mp4", f"{folder}/gt/gt.txt")
+
+
+def _rendered(kind: str, name: str) -> KindVideo:
+    """A scene of `phdtrack simulate`."""
+    return KindVideo(kind, name, f"{name}/scene.mp4", f"{name}/gt/gt.txt", rendered=True)
+
+
+# The short form's.
+SHORT = "TUD-Campus"
 VIDEOS = (
+    _mot15("PETS09-S2L1"),
+    _mot15(SHORT),
+    KindVideo("indoor", "OneLeaveShop1cor", "caviar/OneLeaveShop1cor.mpg", "caviar/cols1gt.xml"),
+    _sparse("indoor", "reader-indoor"),
+    _sparse("indoor", "worker-gif"),
+    _sparse("crowd", "crowd-hall"),
+    _sparse("traffic", "motorway-cctv"),
+    _sparse("traffic", "carpark-gif"),
+    _sparse("shadows", "pets2001-d3c1"),
+    _rendered("shadows", "arcade"),
+    _rendered("trees", "yard"),
+    _rendered("trees", "garden"),
+)
+# Videos without boxes of objects.
+UNBOXED = (
+    _masked("traffic", "cdnet-highway"),
+    _masked("jitter", "cdnet-traffic-jitter"),
     KindVideo(
-        "PETS09-S2L1",
-        "street",
-        "mot15/PETS09-S2L1/PETS09-S2L1.mp4",
-        "mot15/PETS09-S2L1/gt/gt.txt",
+        "trees",
+        "wallflower-WavingTrees",
+        "video/wallflower-WavingTrees/wallflower-WavingTrees.mp4",
+        empty=242,
     ),
-    KindVideo(
-        "TUD-Campus", "street", "mot15/TUD-Campus/TUD-Campus.mp4", "mot15/TUD-Campus/gt/gt.txt"
-    ),
-    KindVideo("OneLeaveShop1cor", "indoor", "caviar/OneLeaveShop1cor.mpg", "caviar/cols1gt.xml"),
-    _sparse("reader-indoor", "indoor"),
-    _sparse("worker-gif", "indoor"),
-    _sparse("crowd-hall", "crowd"),
-    _sparse("motorway-cctv", "traffic"),
-    _sparse("carpark-gif", "traffic"),
-    _sparse("pets2001-d3c1", "shadows"),
-    KindVideo("arcade", "shadows", "arcade/scene.mp4", "arcade/gt/gt.txt", rendered=True),
-    KindVideo("yard", "trees", "yard/scene.mp4", "yard/gt/gt.txt", rendered=True),
-    KindVideo("garden", "trees", "garden/scene.mp4", "garden/gt/gt.txt", rendered=True),
 )
 
 
@@ -128,15 +153,15 @@ def scored(run: KindRun) -> KindScore:
     base = run.runs if video.rendered else need_data()
     source = base / video.source
     if video.rendered and not source.exists():
-        _phdtrack("simulate", video.name, "--out", str(run.runs / video.name))
+        phdtrack("simulate", video.name, "--out", str(run.runs / video.name))
     options = ["--detector", run.detector, "--no-video", "--overwrite", "--detect-again"]
     if run.setting:
         options += ["--set", run.setting]
-    _phdtrack("track", str(source), *options, "--out", str(run.out))
+    phdtrack("track", str(source), *options, "--out", str(run.out))
     judge = ["evaluate", "--truth", str(base / video.truth), "--json"]
     if video.ignored:
         judge += ["--ignore", str(base / video.ignored)]
-    scores = json.loads(_phdtrack(*judge, "--tracks", str(run.out / "tracks.csv")))
+    scores = json.loads(phdtrack(*judge, "--tracks", str(run.out / "tracks.csv")))
     return KindScore(
         float(scores["MOTA"] or 0.0),
         float(scores["IDF1"] or 0.0),
@@ -144,15 +169,6 @@ def scored(run: KindRun) -> KindScore:
         int(scores["misses"]),
         int(scores["false_positives"]),
     )
-
-
-def _phdtrack(*arguments: str) -> str:
-    """The output of the command line; raises RuntimeError with its message if it fails."""
-    command = [sys.executable, "-m", "phdtrack", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
-    return done.stdout
 
 
 def mean_of_kinds(kinds: Sequence[str], values: Sequence[float]) -> float:
@@ -220,7 +236,7 @@ def _errors(truth: Tracks, tracks: Tracks, number: int) -> int:
 
 def kinds_tables(options: Options, runs: Path) -> dict[str, str]:
     """The tables of the page: by video, by kind, of the settings, and of the warnings."""
-    videos = VIDEOS[1:2] if options.quick else VIDEOS
+    videos = [video for video in VIDEOS if video.name == SHORT or not options.quick]
     tried = {} if options.quick else TRIED
     jobs = [KindRun(video, detector, runs) for detector in DETECTORS for video in videos]
     found = in_parallel(scored, jobs, "kinds", options)

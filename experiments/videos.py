@@ -21,7 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from experiments.common import ROOT, Options, in_parallel, need_data, table, write
+from experiments.common import ROOT, Options, in_parallel, need_data, phdtrack, table, write
 from experiments.video_kinds import kinds_tables
 from phdtrack.config.presets import usual_preset
 from phdtrack.detect import make_detector
@@ -119,7 +119,7 @@ def detect(job: VideoRun) -> None:
     video = job.video
     out = job.found
     if video.name in RENDERED and not Path(job.path(video.source)).exists():
-        _phdtrack("simulate", video.name, "--out", str(job.runs / video.name))
+        phdtrack("simulate", video.name, "--out", str(job.runs / video.name))
     if (out / "detections.csv").exists():
         return
     if job.without:
@@ -130,7 +130,7 @@ def detect(job: VideoRun) -> None:
             for frame in source:
                 writer.append(frame.number, detector(frame))
     else:
-        _phdtrack("detect", job.path(video.source), "--detector", video.detector, "--out", str(out))
+        phdtrack("detect", job.path(video.source), "--detector", video.detector, "--out", str(out))
 
 
 def lacking(part: str, source: VideoSource) -> Detector:
@@ -169,7 +169,7 @@ def work(job: VideoRun) -> dict[str, object]:
     options = (*options, "--truth", job.path(video.truth)) if video.truth else options
     # The command does not know which detector made the boxes of a file.
     options = (*options, "--preset", usual_preset("box", filter_name, video.detector))
-    text = _phdtrack(
+    text = phdtrack(
         "track",
         job.path(video.source),
         *options,
@@ -189,7 +189,7 @@ def masked(job: tuple[str, Path]) -> list[object]:
     name = job[0]
     out = job[1] / job[0]
     video = need_data() / "video" / name / f"{name}.mp4"
-    _phdtrack("track", str(video), "--no-video", "--out", str(out), "--overwrite", "--detect-again")
+    phdtrack("track", str(video), "--no-video", "--out", str(out), "--overwrite", "--detect-again")
     return _by_masks(name, out)
 
 
@@ -278,17 +278,6 @@ def _by_masks(name: str, out: Path) -> list[object]:
     match = re.search(pattern, printed)
     assert match is not None, printed
     return [name, float(match[1]), float(match[2]), int(match[3]), int(match[4])]
-
-
-def _phdtrack(*arguments: str) -> str:
-    """The output of the command line; raises RuntimeError with its message if it fails."""
-    command = [sys.executable, "-m", "phdtrack", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(
-            f"{' '.join(command)} ended with status {done.returncode}:\n{done.stderr}"
-        )
-    return done.stdout
 
 
 def main(options: Options) -> Path:

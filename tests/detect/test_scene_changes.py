@@ -7,7 +7,7 @@ import pytest
 
 from phdtrack.detect import make_detector
 from phdtrack.detect.scene_knowledge import study
-from phdtrack.detect.scene_light import inverse_light, response
+from phdtrack.detect.scene_light import response
 from phdtrack.types import Detections, Frame, Image
 
 HEIGHT = 120
@@ -45,28 +45,28 @@ def people(found: Detections) -> list[tuple[int, ...]]:
 
 
 def test_person_who_stands_long_keeps_one_box() -> None:
-    """A part of a person that looks like the room is not absorbed, nor is the rest around it."""
-    fps = 4.0
+    """For five minutes: somebody who sways is not absorbed, however long he stays."""
+    fps = 2.0
     detector = make_detector("change")
     empty = room()
     for k in range(1, 41):
         detector(noisy(empty, k, fps))
-    shifts = np.random.default_rng(1).integers(-2, 3, 400)
-    for k in range(41, 41 + 400):
-        found = detector(noisy(with_person(empty, (30, 30, 40), int(shifts[k - 41])), k, fps))
+    shifts = np.random.default_rng(1).integers(-2, 3, 600)
+    for k in range(41, 41 + 600):
+        found = detector(noisy(with_person(empty, (60, 70, 80), int(shifts[k - 41])), k, fps))
         assert len(found) == 1, k
         np.testing.assert_allclose(found.xyxy[0], PERSON, atol=6)
-    for k in range(441, 460):
+    for k in range(641, 660):
         found = detector(noisy(empty, k, fps))
     assert people(found) == []
 
 
 def visits() -> list[Frame]:
-    """Three minutes of a room in which six people in dark clothes stand at one place in turn, more
-    than half of the time; a picture a second.
+    """Three minutes of a room in which six people, most of them in dark clothes, stand at one place
+    in turn, more than half of the time; a picture a second.
     """
     frames = list[Frame]()
-    clothes = [(20, 20, 24), (90, 60, 40), (22, 20, 20), (30, 30, 160), (18, 22, 24), (60, 70, 80)]
+    clothes = [(20, 20, 24), (24, 22, 20), (22, 20, 20), (30, 30, 160), (18, 22, 24), (22, 24, 22)]
     for k in range(180):
         there = k % 30 >= 14
         sway = (k * 7) % 3 - 1
@@ -103,9 +103,7 @@ def cloudy(gain: float) -> Image:
 @pytest.mark.parametrize("dim", [0.45, 0.6])
 def test_a_sky_that_stays_bright_is_not_an_object(dim: float) -> None:
     rng = np.random.default_rng(8)
-    gains = rng.uniform(0.45, 1.0, 60)
-    gains[0] = 1.0
-    gains[40:] = dim
+    gains = np.where(rng.random(60) < 0.5, 1.0, dim) * rng.uniform(0.9, 1.0, 60)
     frames = [noisy(cloudy(gain), k + 1, 2.0) for k, gain in enumerate(gains)]
     detector = make_detector("change")
     study(detector, frames)
@@ -140,13 +138,3 @@ def test_response_is_what_does_not_follow_the_light() -> None:
     np.testing.assert_allclose(found[32:64], -100, atol=2)
     np.testing.assert_allclose(found[64:], 0, atol=1)
     assert response(samples[5:], lights[5:], shape) is None
-
-
-def test_inverse_light_leads_back(rng: np.random.Generator) -> None:
-    light = np.column_stack([np.eye(3) + rng.normal(0, 0.1, (3, 3)), rng.normal(0, 5, 3)]).astype(
-        np.float32
-    )
-    back = inverse_light(light)
-    there = rng.normal(0, 50, (3, 20))
-    lit = light[:, :3] @ there + light[:, 3:]
-    np.testing.assert_allclose(back[:, :3] @ lit + back[:, 3:], there, atol=1e-3)

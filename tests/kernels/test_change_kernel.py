@@ -6,7 +6,7 @@ import pytest
 
 from phdtrack.kernels.blobs import Cleaning, cleaned, edges, measured, valley
 from phdtrack.kernels.change import MARGIN, Past, Statistic, changed, compare, follow, middle
-from phdtrack.kernels.planes import colours, lighting, noise, relit, smooth
+from phdtrack.kernels.planes import colours, inverse_light, lighting, noise, relit, smooth
 from reference import change_twin as twin
 
 WEIGHTS = tuple(np.array([1 / 100, 1 / 40, 1 / 12, 1 / 9], np.float32))
@@ -137,6 +137,16 @@ def test_a_picture_is_led_back_to_the_light_of_the_reference(
     np.testing.assert_allclose(found, twin.parted(reference), atol=1.6)
     flat = twin.parted(dim)
     assert relit(flat, SAME, (height, width)) is flat
+
+
+def test_inverse_light_leads_back(rng: np.random.Generator) -> None:
+    light = np.column_stack([np.eye(3) + rng.normal(0, 0.1, (3, 3)), rng.normal(0, 5, 3)]).astype(
+        np.float32
+    )
+    back = inverse_light(light)
+    there = rng.normal(0, 50, (3, 20))
+    lit = light[:, :3] @ there + light[:, 3:]
+    np.testing.assert_allclose(back[:, :3] @ lit + back[:, 3:], there, atol=1e-3)
 
 
 def test_pixels_are_compared_with_the_past_in_one_light(rng: np.random.Generator) -> None:

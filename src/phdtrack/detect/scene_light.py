@@ -18,13 +18,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from phdtrack.detect.reference import median
-from phdtrack.kernels.planes import lighting, luma, relit
+from phdtrack.kernels.planes import inverse_light, lighting, luma, relit
 from phdtrack.types import F4, Image
 
 # The response is learned if the thirds of the samples with the most and the least light differ by
 # this gain, and have so many samples.
 _LIGHT_CHANGES = 0.2
 _FEWEST = 3
+# The share of the samples that are darker than the one in whose light the response is learned.
+_BRIGHT = 0.83
 # Places follow the light if, when it doubles, they are at most so many grey levels off.
 _FOLLOWS = 40.0
 # Every how many pixels the brightness of a picture is measured.
@@ -45,27 +47,32 @@ class SceneLight:
         self._gains = (1.0, 1.0)
 
     def levelled(self, pictures: Sequence[Image]) -> list[Image]:
-        """Learn the response from pictures (n,); they in one light, that of the one of the median
-        brightness.
-        """
-        brightness = [
-            float(luma(one, self._shape)[::_SPARSE, ::_SPARSE].mean()) for one in pictures
+        """Learn the response from pictures (n,); they in one light."""
+        sparse = (slice(None, None, _SPARSE),) * 2
+        brightness = [float(luma(one, self._shape)[sparse].mean()) for one in pictures]
+        order = np.argsort(brightness)
+        # In the light of a dark picture a sky that stays bright would be brighter than white.
+        bright = pictures[int(order[round(_BRIGHT * (len(order) - 1))])].astype(np.float32)
+        self._response = response(pictures, self._lights(bright, pictures), self._shape)
+        if self._response is None:
+            usual = pictures[int(order[len(order) // 2])].astype(np.float32)
+            return self._relit(pictures, self._lights(usual, pictures))
+        off = np.abs(luma(self._response, self._shape)) > _FOLLOWS
+        self._unlike = np.asarray(off, np.uint8)
+        gains = [self._gain(bright, one, self._nothing) for one in pictures]
+        self._gains = (min(gains), max(gains))
+        even = [
+            self._less(one, self._response, gain) for one, gain in zip(pictures, gains, strict=True)
         ]
-        usual = pictures[int(np.argsort(brightness)[len(pictures) // 2])].astype(np.float32)
-        lights = [lighting(usual, one, self._nothing, self._step) for one in pictures]
-        self._response = response(pictures, lights, self._shape)
-        even = list(pictures)
-        if self._response is not None:
-            off = np.abs(luma(self._response, self._shape)) > _FOLLOWS
-            self._unlike = np.asarray(off, np.uint8)
-            gains = [self._gain(usual, one, self._nothing) for one in pictures]
-            self._gains = (min(gains), max(gains))
-            even = [
-                self._less(one, self._response, gain)
-                for one, gain in zip(pictures, gains, strict=True)
-            ]
-            lights = [lighting(usual, one, self._nothing, self._step) for one in even]
-        return [relit(*one, self._shape) for one in zip(even, lights, strict=True)]
+        return self._relit(even, self._lights(bright, even))
+
+    def _lights(self, scene: F4, pictures: Sequence[Image]) -> list[F4]:
+        """The light (3, 4) of each picture (n,), from that of the scene (n,)."""
+        return [lighting(scene, one, self._nothing, self._step) for one in pictures]
+
+    def _relit(self, pictures: Sequence[Image], lights: Sequence[F4]) -> list[Image]:
+        """The pictures (n,) in the light from which ``lights`` lead to theirs."""
+        return [relit(*one, self._shape) for one in zip(pictures, lights, strict=True)]
 
     def even(self, picture: Image, reference: F4, foreground: Image) -> Image:
         """(n,) a picture as if all of the scene followed the light.
@@ -118,9 +125,3 @@ def response(samples: Sequence[Image], lights: Sequence[F4], shape: tuple[int, i
     seen = median([samples[k] for k in dark]).astype(np.float32)
     expected = median([relit(scene, inverse_light(lights[k]), shape) for k in dark])
     return np.asarray((seen - expected) / np.float32(difference), np.float32)
-
-
-def inverse_light(light: F4) -> F4:
-    """(3, 4) the map from a light back to that from which ``light`` (3, 4) leads."""
-    back = np.linalg.inv(light[:, :3].astype(np.float64))
-    return np.asarray(np.column_stack([back, -back @ light[:, 3]]), np.float32)

@@ -207,7 +207,7 @@ def relit(image: U1, light: F4, shape: tuple[int, int]) -> U1:
     """
     if _same_light(light):
         return image
-    inverse = _inverse(light)
+    inverse = inverse_light(light)
     height, width = shape
     across = (width + 1) // 2
     out = np.empty_like(image)
@@ -231,9 +231,9 @@ def _same_light(light: F4) -> bool:
     return True
 
 
-@njit(**INNER)
-def _inverse(light: F4) -> F4:
-    """(3, 4) the map back."""
+@njit(**ENTRY)
+def inverse_light(light: F4) -> F4:
+    """(3, 4) the map from a light back to that from which ``light`` (3, 4) leads."""
     out = np.empty((3, 4), np.float32)
     for i in range(3):
         for j in range(3):

@@ -32,7 +32,7 @@ def recurrences(samples: U1, tolerance: int, reach: int, share: float) -> I8:
     least = share * (2 * reach + 1) ** 2
     for k in range(count):
         for j in range(k + 1, count):
-            _same(samples, k, j, INT(tolerance), same)
+            _same(samples, k, j, tolerance, same)
             _sums(same, reach, rows)
             for y in range(height):
                 for x in range(width):
@@ -93,15 +93,12 @@ def _alike(samples: U1, k: int, j: int, y: int, x: int, tolerance: int) -> bool:
 
 
 @njit(**INNER)
-def _same(samples: U1, k: int, j: int, tolerance: np.int32, out: I4) -> None:
+def _same(samples: U1, k: int, j: int, tolerance: int, out: I4) -> None:
     """Write 1 for each pixel in which two samples differ by the tolerance at most."""
     height, width = out.shape
     for y in range(height):
         for x in range(width):
-            a = abs(INT(samples[k, y, x, 0]) - INT(samples[j, y, x, 0]))
-            b = abs(INT(samples[k, y, x, 1]) - INT(samples[j, y, x, 1]))
-            c = abs(INT(samples[k, y, x, 2]) - INT(samples[j, y, x, 2]))
-            out[y, x] = (a <= tolerance) & (b <= tolerance) & (c <= tolerance)
+            out[y, x] = _alike(samples, k, j, y, x, tolerance)
 
 
 @njit(**INNER)

@@ -313,11 +313,10 @@ class SceneTraining:
         if alarms is not None:
             own = {code: _with_alarms(stages, alarms) for code, stages in classes.own.items()}
             classes = replace(classes, usual=_with_alarms(self.stages, alarms), own=own)
-        return Evidence.of(
-            *(self.table, self._times, self.stretch, classes, self.seed, self.advance),
-            frame_size=self._size,
-            background=self.background,
+        evidence = Evidence.of(
+            self.table, self._times, self.stretch, classes, self.seed, self.advance
         )
+        return replace(evidence, frame_size=self._size, background=self.background)
 
     def _with_prior(self, learned: LearnedDensity) -> LearnedDensity:
         """The learned density, mixed with a little of all sizes detected in the stretch."""

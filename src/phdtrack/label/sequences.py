@@ -272,9 +272,9 @@ def suggestions(
         range(1, last + 1),
         sequence.stages(settings),
         advance=lambda count: advance(count / last),
-        frame_size=(float(sequence.info.width), float(sequence.info.height)),
-        background=sequence.background,
     )
+    size = (float(sequence.info.width), float(sequence.info.height))
+    evidence = replace(evidence, frame_size=size, background=sequence.background)
     made = suggest(evidence, frames)
     write_text(file, json.dumps({"key": key, "rows": made}) + "\n")
     return made

@@ -116,8 +116,6 @@ class Evidence:
         stages: AnyStages | ClassSettings,
         seed: int = 0,
         advance: Callable[[int], object] = id,
-        frame_size: tuple[float, float] = (0.0, 0.0),
-        background: bool = False,
     ) -> Evidence:
         """The result of a tracker on the detections of some frames.
 
@@ -130,8 +128,6 @@ class Evidence:
         frames : the stretch.
         stages, seed : how to track.
         advance : called with the number of frames done.
-        frame_size : width and height, pixels; (0, 0): unknown.
-        background : whether a background detector found the detections.
         """
         rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
         stretch = DetectionTable(table.frame[rows], table.detections.select(rows))
@@ -142,7 +138,7 @@ class Evidence:
         inside = (number for number in numbers if number >= frames.start)
         track_frames(tracker, table_frames(table, inside, clock), (clutter,))
         false = np.concatenate(clutter.values)
-        return cls(stretch, clock, frames, false, tracker.tracks(), frame_size, background)
+        return cls(stretch, clock, frames, false, tracker.tracks())
 
 
 class _ClutterProbabilities:

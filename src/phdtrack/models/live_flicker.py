@@ -107,7 +107,6 @@ class LiveFlicker(Learning[FlickerSeen]):
         seen = sightings(state.xyxy, state.time, state.identity)
         went = np.union1d(state.went, travellers(seen))
         waiting = _waiting(state, went, now)
-        # `sightings` would leave out boxes without extent; detections have some.
         done = sightings(state.xyxy[~waiting], state.time[~waiting], state.identity[~waiting])
         counts = counted_places(done, self.size, went, state.stayed)
         kept = math.exp(-(now - state.begun) / MEMORY)
