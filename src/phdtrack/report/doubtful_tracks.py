@@ -38,7 +38,7 @@ _CUT = 0.2
 _MIN_CUT = 3
 # Share of boxes in doubtful tracks from which on a run as a whole is doubtful, and the number of
 # boxes that this needs.
-DOUBTFUL = 0.35
+DOUBTFUL = 0.25
 _MIN_BOXES = 5
 
 
