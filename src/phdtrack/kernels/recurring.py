@@ -9,7 +9,7 @@ import numpy as np
 from phdtrack.kernels import I2, I8, U1
 from phdtrack.kernels.blobs import mirrored
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER, INT, VECTOR
+from phdtrack.kernels.fast32 import ENTRY, INNER, VECTOR
 
 
 @njit(**ENTRY)
