@@ -85,6 +85,8 @@ class Detections:
         frame.
     row : (N,) int64, the number of each detection in its frame as the caller gave it, from 0 and
         ascending. It goes with a detection through every selection, and `Tracks.detection` is it.
+    embeddings : (N, D) float32, what each box looks like, of any length and scale; a row of zeros
+        or NaN where this is not known. None where nothing is known of any.
     """
 
     xyxy: F8
@@ -93,6 +95,7 @@ class Detections:
     covariance: F8 | None = None
     observed: bool = True
     row: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    embeddings: F4 | None = None
 
     def __post_init__(self) -> None:
         if len(self.row) != len(self.xyxy):
@@ -105,13 +108,18 @@ class Detections:
 
     @classmethod
     def of(
-        cls, xyxy: ArrayLike, confidence: ArrayLike | None = None, class_id: ArrayLike | None = None
+        cls,
+        xyxy: ArrayLike,
+        confidence: ArrayLike | None = None,
+        class_id: ArrayLike | None = None,
+        embeddings: ArrayLike | None = None,
     ) -> Detections:
         """Detections of boxes: copies, in the types of this record; values are not checked.
 
         Parameters
         ----------
         xyxy, confidence, class_id : (N, 4) boxes, and (N,) of each; None: 1 and 0.
+        embeddings : (N, D), what each looks like; None: not known.
         """
         boxes = np.array(xyxy, dtype=np.float64).reshape(-1, 4)
         n = len(boxes)
@@ -123,7 +131,10 @@ class Detections:
             label = np.zeros(n, np.int64)
         else:
             label = np.array(class_id, dtype=np.int64).reshape(n)
-        return cls(boxes, score, label)
+        look = None
+        if embeddings is not None:
+            look = np.array(embeddings, dtype=np.float32).reshape(n, -1 if n else 0)
+        return cls(boxes, score, label, embeddings=look)
 
     def __len__(self) -> int:
         return len(self.xyxy)
@@ -131,6 +142,7 @@ class Detections:
     def select(self, index: I8 | Bool) -> Detections:
         """The detections at ``index`` (integers or a mask), in that order."""
         cov = None if self.covariance is None else self.covariance[index]
+        look = None if self.embeddings is None else self.embeddings[index]
         return Detections(
             self.xyxy[index],
             self.confidence[index],
@@ -138,6 +150,7 @@ class Detections:
             cov,
             self.observed,
             self.row[index],
+            look,
         )
 
     def numbered(self) -> Detections:
@@ -149,6 +162,7 @@ class Detections:
             self.covariance,
             self.observed,
             np.arange(len(self)),
+            self.embeddings,
         )
 
 
