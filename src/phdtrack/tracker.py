@@ -24,13 +24,19 @@ from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
 from phdtrack.associate.history import HISTORY
-from phdtrack.detect.convert import DiscardedBoxes, as_detections, unit_warning
+from phdtrack.detect.colours import Colours
+from phdtrack.detect.convert import (
+    DiscardedBoxes,
+    as_detections,
+    as_embeddings,
+    unit_warning,
+)
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.input_checks import StreamSeen, checks_of
 from phdtrack.models.warp import as_warp
 from phdtrack.multiclass import ClassPipelines, ClassSettings
 from phdtrack.protocols import AnyStages
-from phdtrack.types import I8, LAST_FRAME, STILL, Detections, SequenceInfo, Step, Tracks
+from phdtrack.types import I8, LAST_FRAME, STILL, Detections, Image, SequenceInfo, Step, Tracks
 
 _LOG = logging.getLogger(__name__)
 # The keys of a saved state.
@@ -136,6 +142,8 @@ class Tracker:
         self._first = 0
         self._warnings = SavedWarnings()
         self._seen = StreamSeen()
+        # Numbers of an embedding; 0 before the first one.
+        self._embedding_length = 0
         self.sequences += 1
 
     def update(
@@ -144,9 +152,15 @@ class Tracker:
         frame: int | None = None,
         timestamp: float | None = None,
         warp: ArrayLike | None = None,
+        embeddings: ArrayLike | None = None,
+        image: ArrayLike | None = None,
     ) -> Tracks:
         """Take in one frame's detections; give the online rows that became final, which will not
         change: of this frame, or with an output delay of an earlier one.
+
+        The appearance of the boxes is evidence of who is who, if it is given: as ``embeddings`` of
+        a network, or as colours that are read from the ``image``. What it is worth is learned from
+        the stream.
 
         Parameters
         ----------
@@ -161,26 +175,47 @@ class Tracker:
         warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine
             map, that takes pixels of that frame to this one's, as `CameraMotion` measures it;
             default: it stands still.
+        embeddings : (N, D), a row for each box in their order, of any scale; zeros or NaN if it is
+            unknown. They replace those of the object.
+        image : (H, W, 3) uint8, the picture in which the boxes are, in place of embeddings; or
+            (H, W) in grey. Blue, green, red as OpenCV reads it; another order is as good.
 
         Raises
         ------
         InputError : boxes that are none, a frame that does not come after the last, a warp that is
-            none, or one for a model that lies at fixed pixels or on the ground.
+            none, or one for a model that lies at fixed pixels or on the ground; embeddings of
+            another number of boxes, or of another length than before; an image of another size
+            than the frames, or beside embeddings.
         KeyboardInterrupt : after Ctrl-C, when the frame is done; a second Ctrl-C ends at once.
         """
         number, time = self._moment(frame, timestamp)
-        found = as_detections(detections, where=f"frame {number}").numbered()
+        where = f"frame {number}"
+        found = as_detections(detections, where=where).numbered()
+        if embeddings is not None and image is not None:
+            raise InputError(
+                "got embeddings and an image, and each says what the boxes look like",
+                where=f"{where}, update(image=…)",
+                cure="Give one of them.",
+            )
+        if embeddings is not None:
+            place = f"{where}, update(embeddings=…)"
+            found = replace(found, embeddings=as_embeddings(embeddings, len(found), place))
         moved = STILL
         if warp is not None:
-            moved = as_warp(warp, f"frame {number}, update(warp=…)")
+            moved = as_warp(warp, f"{where}, update(warp=…)")
         if len(moved):
             from phdtrack.models.scene import refuse_standing
 
             refuse_standing(self.stages.model)
         tracked, left_out = self.classes.within_limits(found, self._pipelines.states)
+        if image is not None:
+            picture = self._picture(image, f"{where}, update(image=…)")
+            tracked = replace(tracked, embeddings=Colours().describe(picture, tracked.xyxy))
+        length = self._embedding_length_of(tracked, where)
         with uninterrupted():
             self._step = self._pipelines.advance(tracked, number, time, moved)
             doubts = self._check(self._step)
+        self._embedding_length = length
         self._warn(number, time, found, left_out, doubts)
         self._left_out = self._left_out.with_more(left_out)
         return self._step.tracks
@@ -199,6 +234,44 @@ class Tracker:
         if timestamp is not None:
             return number, _number(timestamp, f"frame {number}, update(timestamp=…)")
         return number, last.time + (number - (last.number or 1)) / self.fps
+
+    def _picture(self, image: ArrayLike, where: str) -> Image:
+        """(H, W, 3) the picture of a frame. Raises `InputError` unless it is one, of the frames'
+        size.
+        """
+        picture = np.asarray(image)
+        if picture.ndim == 2 and picture.dtype == np.uint8:
+            picture = np.repeat(picture[..., None], 3, axis=2)
+        if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+            raise InputError(
+                "expected an image (H, W, 3) or (H, W) of uint8, got an array"
+                f" {picture.shape} of {picture.dtype}",
+                where=where,
+            )
+        height, width = picture.shape[:2]
+        size = self.classes.limits.frame_size
+        if min(size) > 0 and (width, height) != size:
+            raise InputError(
+                f"expected an image of {size[0]:g}x{size[1]:g} pixels, got one of {width}x{height}",
+                where=where,
+                cure="Give the image whose pixels the boxes count, and its size as frame_size.",
+            )
+        return picture
+
+    def _embedding_length_of(self, found: Detections, where: str) -> int:
+        """The length of embeddings up to a frame; 0 if there were none. Raises `InputError` if they
+        have another one than before.
+        """
+        if found.embeddings is None or not len(found):
+            return self._embedding_length
+        length = int(found.embeddings.shape[1])
+        if self._embedding_length and length != self._embedding_length:
+            raise InputError(
+                f"expected embeddings of {self._embedding_length} numbers as before, got {length}",
+                where=where,
+                cure="Use one network for all frames of a sequence, or call reset().",
+            )
+        return length
 
     def _check(self, step: Step) -> tuple[str, ...]:
         """Check whether the stream fits what is assumed of it: warnings if not."""
@@ -373,6 +446,7 @@ class Tracker:
             "left_out": self._left_out,
             "warnings": self._warnings,
             "seen": self._seen,
+            "embedding_length": self._embedding_length,
         }
         return lambda: {
             "format": FORMAT,
@@ -415,6 +489,7 @@ class Tracker:
         self._left_out = left_out
         self._warnings = warnings
         self._seen = seen.resumed()
+        self._embedding_length = int(state.get("embedding_length", 0))
         self.sequences += 1
 
     def _check_saved(self, saved: Any, where: str, same_settings: bool) -> None:

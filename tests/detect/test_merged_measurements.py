@@ -63,6 +63,19 @@ def test_merged_box_is_divided_by_its_edges() -> None:
     assert (found.detections.xyxy[:, 3] <= 205).all()
 
 
+def test_merged_box_looks_like_none_of_its_targets() -> None:
+    alone = PAIR[:1] + 300.0
+    blobs = np.vstack([BLOB, alone])
+    seen = Detections.of(blobs, embeddings=np.ones((2, 5)))
+    targets = expected(np.vstack([PAIR, alone]))
+    _, found = ALWAYS.explain(targets, seen, MODEL.sensor.measure(seen), MODEL, 1.0)
+    assert found.source.tolist() == [0, 0, 1]
+    embeddings = found.detections.embeddings
+    assert embeddings is not None
+    assert embeddings.dtype == np.float32
+    assert embeddings.any(axis=1).tolist() == [False, False, True]
+
+
 def test_separate_boxes_are_unchanged() -> None:
     _, found = explain(expected(PAIR), PAIR + 1.0)
     assert not found.changed

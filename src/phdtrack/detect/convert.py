@@ -8,13 +8,15 @@ Accepted are:
 * a result of ultralytics, whose ``.boxes`` are such an object, or a list of one result;
 * an array-like of shape (N, 4) xyxy, (N, 5) with confidence, or (N, 6) with confidence and class.
 
+An object may have embeddings, (N, D), one for each box: supervision has them as
+``.data["embeddings"]``, others as ``.embeddings``, a result of ultralytics beside its ``.boxes``.
 Tensors are copied to the CPU. An empty array of any shape means no boxes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,12 +25,13 @@ import numpy as np
 from phdtrack.arrays import share_inside
 from phdtrack.errors import Checked, InputError, PositiveCount
 from phdtrack.kernels.box import plausible_boxes
-from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo
+from phdtrack.types import F4, F8, I8, Detections, DetectionTable, SequenceInfo
 
 _COLUMNS = (
     "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and"
     " class"
 )
+_EMBEDDINGS = "embeddings as (N, D), a row for each box"
 _LARGEST_CLASS = 2.0**53
 # Sides of a box: at least so many pixels, at most so many times the frame's, which is also how far
 # the centre may lie outside.
@@ -52,7 +55,7 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     """Convert a detector's output, in one of the forms above, to checked `Detections`.
 
     ``where`` begins error messages ("frame 12"). Raises `InputError` for another shape, and for
-    values that are not finite numbers, with the row.
+    values that are not finite numbers, with the row. Embeddings of NaN alone are unknown ones.
     """
     if isinstance(obj, Detections):
         return _checked(obj, where)
@@ -82,7 +85,55 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     n = len(xyxy) if xyxy.size else 0
     if label is not None:
         _check_classes(label, where)
-    return _checked(Detections.of(xyxy if n else [], score, label), where)
+    found = Detections.of(xyxy if n else [], score, label)
+    own = _own_embeddings(obj, result)
+    if own is not None:
+        found = replace(found, embeddings=as_embeddings(own, n, where))
+    return _checked(found, where)
+
+
+def _own_embeddings(obj: object, result: object) -> object | None:
+    """The embeddings of an object with boxes, or of the result that it is a part of; None if there
+    are none.
+    """
+    data = getattr(obj, "data", None)
+    own: object | None = None
+    if isinstance(data, Mapping):
+        own = data.get("embeddings")
+    for holder in (obj, result):
+        if own is None:
+            own = getattr(holder, "embeddings", None)
+    return own
+
+
+def as_embeddings(values: object, n: int, where: str) -> F4:
+    """(n, D) the embeddings of n boxes. ``where`` begins error messages.
+
+    Raises `InputError` for another shape, for values that are no numbers, and for a row with an
+    infinite value or a few NaN; a row of NaN alone is an unknown one.
+    """
+    table = _numbers(values, where, _EMBEDDINGS)
+    if not n and not table.size:
+        return np.zeros((0, table.shape[1] if table.ndim == 2 else 0), np.float32)
+    if table.ndim != 2 or len(table) != n or not table.shape[1]:
+        cure = "Give one row for each box, in their order; zeros if it is unknown."
+        if table.ndim == 1 and n == 1:
+            cure = "That of a single box is an array of one row: [[…]]."
+        problem = f"expected {_EMBEDDINGS}, for {n} boxes; got an array of shape {table.shape}"
+        raise InputError(problem, where=where, cure=cure)
+    with np.errstate(over="ignore"):
+        embeddings = table.astype(np.float32)
+    bad = ~np.isfinite(embeddings)
+    wrong = bad.any(axis=1) & ~np.isnan(embeddings).all(axis=1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        value = table[row, int(np.argmax(bad[row]))]
+        raise InputError(
+            f"row {row} (from 0) of the embeddings is not finite: {value:g}",
+            where=where,
+            cure="Give zeros for a box whose embedding is unknown.",
+        )
+    return embeddings
 
 
 def _check_classes(label: F8, where: str) -> None:
@@ -310,7 +361,7 @@ def check_units(
         )
 
 
-def _numbers(values: object, where: str) -> F8:
+def _numbers(values: object, where: str, expected: str = _COLUMNS) -> F8:
     """``values`` as float64. Raises `InputError` if they form no rectangular table of numbers."""
     try:
         # A tensor may be on a GPU, or of a type that NumPy does not have.
@@ -320,7 +371,7 @@ def _numbers(values: object, where: str) -> F8:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError) as error:
         problem = (
-            f"expected {_COLUMNS}; got {type(values).__name__} that does not convert to numbers"
+            f"expected {expected}; got {type(values).__name__} that does not convert to numbers"
             f" ({error})"
         )
         raise InputError(problem, where=where) from None
@@ -342,7 +393,9 @@ def _attribute(obj: object, names: tuple[str, str], n: int, where: str) -> F8 | 
 
 
 def _checked(found: Detections, where: str) -> Detections:
-    """``found`` itself. Raises `InputError` if its shapes or values are wrong."""
+    """``found`` itself, with embeddings of 32 bits. Raises `InputError` if its shapes or values are
+    wrong.
+    """
     n = len(found.xyxy)
     xyxy = found.xyxy
     cov = found.covariance
@@ -366,4 +419,8 @@ def _checked(found: Detections, where: str) -> Detections:
         raise InputError(
             f"expected a finite covariance of shape {(n, 4, 4)}, got {cov.shape}", where=where
         )
+    if found.embeddings is not None:
+        embeddings = as_embeddings(found.embeddings, n, where)
+        if found.embeddings.dtype != np.float32:
+            return replace(found, embeddings=embeddings)
     return found

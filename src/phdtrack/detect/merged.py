@@ -130,9 +130,12 @@ class MergedMeasurements(Checked):
         targets = ExpectedTargets(x, targets.covariance, targets.existence, hidden, separate)
         if len(source) == len(detections):
             return targets, DividedDetections(detections, source, part, target)
-        return targets, DividedDetections(
-            replace(detections.select(source), xyxy=xyxy), source, part, target, changed=True
-        )
+        parts = replace(detections.select(source), xyxy=xyxy)
+        if parts.embeddings is not None:
+            # A box that shows several targets looks like none of them.
+            shared = np.bincount(source)[source] > 1
+            parts = replace(parts, embeddings=parts.embeddings * ~shared[:, None])
+        return targets, DividedDetections(parts, source, part, target, changed=True)
 
     def advance(
         self,
