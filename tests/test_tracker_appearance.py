@@ -91,7 +91,7 @@ def test_argument_replaces_embeddings_of_the_object() -> None:
     np.testing.assert_array_equal(seen(tracker), 2 * looks(0))
     tracker = tracker_of()
     tracker.update(objects(0)["supervision"], image=picture(0))
-    assert seen(tracker).shape == (2, Colours.length)
+    assert seen(tracker).shape == (2, Colours().length)
 
 
 def test_colours_of_an_image_are_embeddings() -> None:

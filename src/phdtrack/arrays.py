@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.errors import InputError
-from phdtrack.types import F8, I8, GaussianMixture, Image, Particles
+from phdtrack.types import F4, F8, I8, GaussianMixture, Image, Particles, Real
 
 # Share of the measurements of a box inside the usual gate: five deviations in four dimensions.
 GATE = 0.99995
@@ -208,3 +208,12 @@ def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
                 cell = out[y : min(y + side, bottom), x : min(x + side, right)]
                 cell[:] = cell.mean(axis=(0, 1)).round()
     return out
+
+
+def half_if_exact(values: F4) -> Real:
+    """The values as float16 if that changes none of them, else as they are."""
+    with np.errstate(over="ignore"):
+        half = values.astype(np.float16)
+    if np.array_equal(half, values, equal_nan=True):
+        return half
+    return values

@@ -172,21 +172,42 @@ class DetectionTable:
     ``detections`` with M rows.
 
     ``empty`` counts the boxes of width or height 0 that the file has besides, ``names`` are those
-    that it gives classes.
+    that it gives classes. ``file_row`` (M,) is the row of each in the file, from 0, of ``rows``
+    that the file has; by default those of a file of these rows alone.
     """
 
     frame: I8
     detections: Detections
     empty: int = 0
     names: Mapping[int, str] = field(default_factory=dict)
+    file_row: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    rows: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.file_row) != len(self.frame):
+            object.__setattr__(self, "file_row", np.arange(len(self.frame)))
+        object.__setattr__(self, "rows", max(self.rows, len(self.frame)))
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def at(self, number: int) -> Detections:
         """The detections of frame ``number``; empty if the table has none."""
+        return self.detections.select(self.places(number)).numbered()
+
+    def places(self, number: int) -> I8:
+        """(N,) the places of the detections of frame ``number`` in the table."""
         lo, hi = np.searchsorted(self.frame, [number, number + 1])
-        return self.detections.select(np.arange(lo, hi)).numbered()
+        return np.arange(lo, hi)
+
+    def select(self, index: I8 | Bool) -> DetectionTable:
+        """The detections at ``index`` (integers or a mask), in that order."""
+        return replace(
+            self,
+            frame=self.frame[index],
+            detections=self.detections.select(index),
+            file_row=self.file_row[index],
+        )
 
     @property
     def last(self) -> int:

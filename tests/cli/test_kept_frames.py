@@ -1,7 +1,12 @@
 """Frames that are kept for a second pass come back as they were, without their pictures."""
 
-import numpy as np
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
+import pytest
+
+from phdtrack.run import scene_pass
 from phdtrack.run.loop import DetectedFrame
 from phdtrack.run.scene_pass import KeptFrames
 from phdtrack.types import Detections, Frame, Image
@@ -26,9 +31,26 @@ def a_frame(rng: np.random.Generator, number: int) -> DetectedFrame:
     return DetectedFrame(frame, Detections.of(boxes), seconds=0.5)
 
 
-def test_kept_frames_come_back_as_they_were(rng: np.random.Generator) -> None:
-    frames = [a_frame(rng, number) for number in range(3, 63)]
-    kept = KeptFrames()
+def with_embeddings(rng: np.random.Generator, number: int) -> DetectedFrame:
+    """A frame whose detections have embeddings in two of three."""
+    detected = a_frame(rng, number)
+    found = detected.detections
+    looks = rng.normal(size=(len(found), 700)).astype(np.float32)
+    if number % 3 == 1:
+        looks = looks.astype(np.float16).astype(np.float32)
+    if number % 3:
+        return detected._replace(detections=replace(found, embeddings=looks))
+    return detected
+
+
+@pytest.mark.parametrize("described", [False, True])
+def test_kept_frames_come_back_as_they_were(
+    rng: np.random.Generator, tmp_path: Path, described: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scene_pass, "IN_MEMORY", 1000)
+    make = with_embeddings if described else a_frame
+    frames = [make(rng, number) for number in range(3, 63)]
+    kept = KeptFrames(tmp_path)
     for frame in frames:
         kept.append(frame)
     assert len(kept) == len(frames)
@@ -41,6 +63,11 @@ def test_kept_frames_come_back_as_they_were(rng: np.random.Generator) -> None:
         for name in ("xyxy", "confidence", "class_id", "row"):
             found = getattr(one.detections, name)
             np.testing.assert_array_equal(found, getattr(other.detections, name))
+        looks, expected = one.detections.embeddings, other.detections.embeddings
+        assert (looks is None) == (expected is None)
+        if looks is not None and expected is not None:
+            assert looks.dtype == np.float32
+            np.testing.assert_array_equal(looks, expected)
         np.testing.assert_array_equal(one.warp, other.warp)
         np.testing.assert_array_equal(one.pose, other.pose)
     number, time, count = kept.columns

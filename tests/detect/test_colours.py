@@ -75,7 +75,7 @@ def test_kernel_matches_definition(rng: np.random.Generator) -> None:
     image = rng.integers(0, 256, (100, 90, 3)).astype(np.uint8)
     image[50:] //= 7
     found = Colours().describe(image, BOXES)
-    assert (found.shape, found.dtype) == ((len(BOXES), Colours.length), np.float32)
+    assert (found.shape, found.dtype) == ((len(BOXES), Colours().length), np.float32)
     np.testing.assert_allclose(found, defined(image, BOXES), atol=3e-4)
     np.testing.assert_array_equal(found, found.astype(np.float16))
 
@@ -92,7 +92,7 @@ def test_boxes_that_show_few_pixels_are_zeros() -> None:
     image = np.full((100, 90, 3), 77, np.uint8)
     found = Colours().describe(image, BOXES)
     np.testing.assert_array_equal(found.any(axis=1), [1, 1, 1, 1, 0, 0, 1])
-    assert Colours().describe(image, np.zeros((0, 4))).shape == (0, Colours.length)
+    assert Colours().describe(image, np.zeros((0, 4))).shape == (0, Colours().length)
     nowhere = np.array([[np.inf, 0, np.inf, 9], [5, 5, 5, 50], [9, 9, 3, 3]])
     assert not Colours().describe(image, nowhere).any()
 

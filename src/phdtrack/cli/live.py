@@ -113,7 +113,9 @@ def live(
     scoring = {"--truth": options.truth, "--labelled": options.labelled}
     refuse(scoring, "a camera has no annotated truth", "phdtrack live")
     make = CameraSetup(options, tuple(scene_settings(scene)), detector, max_width, mask, learn)
-    known = class_names(make.new_detector(make.settings(), max_width or 0))
+    settings = make.settings()
+    known = class_names(make.new_detector(settings, max_width or 0))
+    output.warn(list(make.described_by(settings).guesses))
     addresses = named_sources(sources)
     for url in write.webhook or []:
         Webhook(_with_secrets(url, "--webhook"))

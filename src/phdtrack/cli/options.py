@@ -19,6 +19,7 @@ import typer
 from phdtrack.conventions import FORMATS
 from phdtrack.files import SIZE_LIMIT
 from phdtrack.run.requests import (
+    DEFAULT_APPEARANCE,
     OutputRequest,
     ReadingRequest,
     RunRequest,
@@ -195,6 +196,12 @@ _MOST = (
     " filters)."
 )
 MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
+_LOOKS = (
+    "What the boxes look like, as evidence of who is who: colours, none, onnx:FILE, or FILE.npy, a"
+    " row for each detection. Default: what a run has kept beside --detections, or"
+    f" {DEFAULT_APPEARANCE}."
+)
+Appearance = Annotated[str, option("NAME", _LOOKS, autocompletion=listed(_LOOKS))]
 
 _FORMAT = f"Format of the file of boxes: {', '.join(FORMATS)}; of two files TRUTH,FILE."
 _BOX = "Left, top, then width, height or right, bottom; of two files TRUTH,FILE."
@@ -234,6 +241,7 @@ REQUESTS: dict[type[Any], dict[str, Any]] = {
         "threads": Threads,
         "classes": Classes,
         "max_detections": MaxDetections,
+        "appearance": Appearance,
     },
     OutputRequest: {
         "out": Out,

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from phdtrack.devices import size_of
-from phdtrack.types import F8, STILL, Detections, Frame
+from phdtrack.types import F4, F8, STILL, Detections, Frame, Image
 
 
 class Detector(Protocol):
@@ -25,6 +26,24 @@ class Detector(Protocol):
 
     def reset(self) -> None:
         """Forget everything learned from earlier frames."""
+
+
+class Describer(Protocol):
+    """Describes what boxes look like, by the picture that they are in."""
+
+    @property
+    def length(self) -> int:
+        """Numbers of a descriptor."""
+
+    def describe(self, image: Image, boxes: F8) -> F4:
+        """(N, length) descriptors of boxes, in steps of a 16-bit float; zeros for a box that the
+        picture does not show.
+
+        Parameters
+        ----------
+        image : (H, W, 3) BGR uint8.
+        boxes : (N, 4) left, top, right, bottom in pixels of the image.
+        """
 
 
 @runtime_checkable
@@ -136,6 +155,17 @@ def class_names(detector: Detector) -> Mapping[int, str] | None:
     if isinstance(inner, NamesClasses):
         return inner.class_names
     return None
+
+
+def described(detections: Detections, frame: Frame, describer: Describer | None) -> Detections:
+    """The detections of a frame with embeddings by its picture; without a describer as they are."""
+    if describer is None:
+        return detections
+    if len(detections):
+        embeddings = describer.describe(frame.image, detections.xyxy)
+    else:
+        embeddings = np.zeros((0, describer.length), np.float32)
+    return replace(detections, embeddings=embeddings)
 
 
 def guesses(detector: Detector) -> tuple[str, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -56,7 +55,10 @@ class Colours:
     brightness alone distinguishes the boxes: one descriptor for colour, greyscale and infrared.
     """
 
-    length: ClassVar[int] = STRIPES * (_BRIGHT_BINS + 2 * _COLOUR_BINS)
+    @property
+    def length(self) -> int:
+        """Numbers of a descriptor: 192."""
+        return STRIPES * int(ENDS[-1])
 
     def describe(self, image: Image, boxes: F8) -> F4:
         """(N, 192) descriptors of boxes, in steps of a 16-bit float: square roots of shares, whose

@@ -107,10 +107,18 @@ def _own_embeddings(obj: object, result: object) -> object | None:
 
 
 def as_embeddings(values: object, n: int, where: str) -> F4:
-    """(n, D) the embeddings of n boxes. ``where`` begins error messages.
+    """(n, D) embeddings of boxes as float32.
 
-    Raises `InputError` for another shape, for values that are no numbers, and for a row with an
-    infinite value or a few NaN; a row of NaN alone is an unknown one.
+    Parameters
+    ----------
+    values : a row for each box; one of NaN alone is unknown.
+    n : number of boxes.
+    where : begins error messages.
+
+    Raises
+    ------
+    InputError : another shape, values that are no numbers, or a row with an infinite value or with
+        a few NaN.
     """
     table = _numbers(values, where, _EMBEDDINGS)
     if not n and not table.size:
@@ -302,10 +310,7 @@ def within_frame(
         )
     first = int(table.frame[~kept][0])
     sentences.append(f"{path}: {problem} and are left out, the first in frame {first}")
-    inside = DetectionTable(
-        table.frame[kept], table.detections.select(kept), table.empty, table.names
-    )
-    return inside, tuple(sentences)
+    return table.select(kept), tuple(sentences)
 
 
 def check_units(

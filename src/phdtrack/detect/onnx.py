@@ -42,7 +42,7 @@ from phdtrack.types import F8, Detections, Frame, Image
 
 _LOG = logging.getLogger(__name__)
 _PROVIDERS = ("CUDAExecutionProvider", "DmlExecutionProvider", "CPUExecutionProvider")
-_TYPES: Mapping[str, Any] = {
+INPUT_TYPES: Mapping[str, Any] = {
     "tensor(float)": np.float32,
     "tensor(float16)": np.float16,
     "tensor(uint8)": np.uint8,
@@ -54,8 +54,8 @@ _GREY = 114
 _DEFAULT_SIDE = 640
 _DEFAULT_STRIDE = 32
 # Mean and standard deviation of the colours of ImageNet.
-_MEAN = np.array([0.485, 0.456, 0.406], np.float32)
-_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
+IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)
+IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
 # Boxes per frame that non-maximum suppression considers.
 _MAX_CANDIDATES = 3000
 # Characters of an error message of onnxruntime that are repeated.
@@ -156,16 +156,16 @@ class OnnxDetector:
                 raise InputError(
                     f"expected {', '.join(known)}, got {value!r}", where=f"detector.{name}"
                 )
-        self._session = _opened(Path(self.file), self.threads)
+        self._session = open_network(Path(self.file), self.threads)
         metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
-        self.class_names: Mapping[int, str] = _class_names(_literal(metadata.get("names", "")))
-        sides = _literal(metadata.get("imgsz", ""))
+        self.class_names: Mapping[int, str] = _class_names(literal(metadata.get("names", "")))
+        sides = literal(metadata.get("imgsz", ""))
         if not isinstance(sides, list | tuple):
             sides = []
         known_sides = [side for side in sides if type(side) is int]
         self._longer_side = self.size or max(known_sides, default=_DEFAULT_SIDE)
         self._stride = _DEFAULT_STRIDE
-        stride = _literal(metadata.get("stride", ""))
+        stride = literal(metadata.get("stride", ""))
         if type(stride) is int and stride > 0:
             self._stride = stride
         self._input, self._other_inputs = self._inputs()
@@ -332,8 +332,8 @@ class OnnxDetector:
             values = values * 2 - 1
         if pixels == "imagenet":
             order = -1 if self._blue_first else 1
-            mean = _MEAN[::order, None, None]
-            values = (values - mean) / _DEVIATION[::order, None, None]
+            mean = IMAGENET_MEAN[::order, None, None]
+            values = (values - mean) / IMAGENET_DEVIATION[::order, None, None]
         return values
 
     def _run(self, inputs: Sequence[_Letterbox]) -> list[list[Array]]:
@@ -350,7 +350,9 @@ class OnnxDetector:
         try:
             outputs: list[Array] = self._session.run(None, feed)
         except Exception as error:
-            raise InputError(f"the network failed: {_reason(error)}", where=self.file) from error
+            raise InputError(
+                f"the network failed: {first_sentence(error)}", where=self.file
+            ) from error
         if not self.output_layout.batched:
             return [outputs for _ in inputs]
         return [of_picture(outputs, k) for k in range(len(inputs))]
@@ -358,7 +360,7 @@ class OnnxDetector:
     def _inputs(self) -> tuple[_Input, list[str]]:
         """The picture, and the names of the network's other inputs."""
         inputs = [*self._session.get_inputs()]
-        pictures = [one for one in inputs if one.type in _TYPES and len(one.shape) in (3, 4)]
+        pictures = [one for one in inputs if one.type in INPUT_TYPES and len(one.shape) in (3, 4)]
         others = [
             one.name
             for one in inputs
@@ -375,10 +377,10 @@ class OnnxDetector:
             else:
                 channels, height, width = sides
             if channels in (0, 3):
-                dtype = _TYPES[picture.type]
+                dtype = INPUT_TYPES[picture.type]
                 return _Input(picture.name, batch, height, width, channels_last, dtype), others
         raise InputError(
-            f"the network's inputs are not supported: {_listed(inputs)}",
+            f"the network's inputs are not supported: {listed_inputs(inputs)}",
             where=self.file,
             cure=_SUPPORTED_INPUTS,
         )
@@ -408,7 +410,7 @@ class OnnxDetector:
         if layout is not None:
             return layout._replace(shares=_in_shares(layout, [*outputs.values()]))
         got = ", ".join(_described(name, one) for name, one in outputs.items())
-        got += f"; inputs: {_listed(self._session.get_inputs())}"
+        got += f"; inputs: {listed_inputs(self._session.get_inputs())}"
         if task:
             got += f"; task: {task}"
         raise InputError(
@@ -517,7 +519,7 @@ def _coco_names(classes: int) -> Mapping[int, str]:
     return dict(zip(numbers, names, strict=True))
 
 
-def _opened(path: Path, threads: int) -> Any:
+def open_network(path: Path, threads: int) -> Any:
     """The network, ready to run. Raises `InputError` if the package is missing, or the file is not
     a network.
     """
@@ -535,7 +537,7 @@ def _opened(path: Path, threads: int) -> Any:
         )
     except Exception as error:
         raise InputError(
-            f"onnxruntime {runtime.__version__} cannot run this network: {_reason(error)}",
+            f"onnxruntime {runtime.__version__} cannot run this network: {first_sentence(error)}",
             where=path,
             cure=export_cure(path) or "Is it an ONNX file, and complete?",
         ) from error
@@ -552,13 +554,13 @@ def export_cure(path: Path) -> str:
     )
 
 
-def _reason(error: Exception) -> str:
+def first_sentence(error: Exception) -> str:
     """The first sentence of an error of onnxruntime, without its code."""
     sentence = str(error).split("\n")[0].rpartition(" : ")[2]
     return " ".join(sentence.split())[:_MAX_MESSAGE] or type(error).__name__
 
 
-def _literal(text: str) -> Any:
+def literal(text: str) -> Any:
     """A list, dictionary or number in the metadata; None for anything else."""
     with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
         if text:
@@ -574,6 +576,6 @@ def _described(name: str, output: Array) -> str:
     return text
 
 
-def _listed(inputs: Sequence[Any]) -> str:
+def listed_inputs(inputs: Sequence[Any]) -> str:
     """Names, types and shapes of a network's inputs."""
     return ", ".join(f"{one.name} {one.type} ({', '.join(map(str, one.shape))})" for one in inputs)

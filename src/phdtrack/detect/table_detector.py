@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 
-from phdtrack.types import Detections, DetectionTable, Frame
+from phdtrack.types import Detections, DetectionTable, Frame, Real
 
 # Seconds without detections after which further empty frames are skipped, and the bounds of this
 # time in frames.
@@ -21,16 +21,24 @@ _MAX_EMPTY_FRAMES = 100_000
 class TableDetector:
     """Looks up the rows of ``table`` by frame number; frames without rows are empty. The picture is
     ignored.
+
+    ``embeddings`` (M, D) have a row for each row of the table's file; None without any. They may
+    be on disk.
     """
 
     table: DetectionTable
+    embeddings: Real | None = None
 
     def reset(self) -> None:
         """Do nothing: the table stays."""
 
     def __call__(self, frame: Frame) -> Detections:
         """The detections of frame ``frame.number``."""
-        return self.table.at(frame.number)
+        found = self.table.at(frame.number)
+        if self.embeddings is None:
+            return found
+        rows = self.table.file_row[self.table.places(frame.number)]
+        return replace(found, embeddings=np.asarray(self.embeddings[rows], np.float32))
 
 
 def frames_walked(table: DetectionTable, last: int, fps: float) -> Iterator[int]:

@@ -7,7 +7,7 @@ fault.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,13 +22,31 @@ _LARGEST_EXACT = 2.0**53
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Origin:
-    """The source of M rows: the file's ``path``, and for each row its 1-based ``number`` (M,) in
-    the ``unit`` of the file ("line", "row").
+    """The source of M rows.
+
+    Attributes
+    ----------
+    path : the file.
+    unit, number : (M,) the number of each row, from 1, in this unit of the file ("line", "row").
+    row : (M,) the number of each among the rows of the file, from 0, without headers, comments and
+        empty lines; by default they are all.
+    rows : number of rows of the file.
     """
 
     path: Path
     unit: str
     number: I8
+    row: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    rows: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.row) != len(self.number):
+            object.__setattr__(self, "row", np.arange(len(self.number)))
+        object.__setattr__(self, "rows", max(self.rows, len(self.number)))
+
+    def select(self, index: I8 | Bool) -> Origin:
+        """The source of the rows ``index``."""
+        return replace(self, number=self.number[index], row=self.row[index])
 
     def at(self, row: int) -> str:
         """The place of row ``row`` (0-based) for messages: "det.txt, line 12"."""

@@ -51,7 +51,8 @@ class CocoBox(NamedTuple):
 class CocoFile(NamedTuple):
     """A COCO file: its ``info``, its images with the number of their ``frame``, its valid boxes,
     which messages call ``unit``, the names of its categories, the number of its ``first`` frame,
-    and sentences about guesses.
+    sentences about guesses, and how many annotations it has, invalid ones and those of other videos
+    included.
     """
 
     info: dict[str, Any]
@@ -61,6 +62,7 @@ class CocoFile(NamedTuple):
     names: dict[int, str]
     first: int
     notices: tuple[str, ...]
+    annotations: int = 0
 
 
 def read_coco(
@@ -93,7 +95,8 @@ def read_coco(
     frames = frames_of_images(path, images, _video_names(document), sequence)
     boxes = list[CocoBox]()
     shapes = Shapes()
-    for place, annotation in enumerate(_list(path, document, "annotations"), start=1):
+    annotations = _list(path, document, "annotations")
+    for place, annotation in enumerate(annotations, start=1):
         try:
             entry = entry_of(annotation, f"{path}, {unit} {place}", "image_id and bbox")
             ltwh = _upright_box(entry, shapes)
@@ -120,6 +123,7 @@ def read_coco(
         _names(path, document),
         first,
         (*frames.notices, *shapes.sentences()),
+        len(annotations),
     )
 
 
@@ -139,7 +143,7 @@ def table_of_coco(source: Source) -> Table:
             numbers = [entry.number(*keys, default=column.default) for entry in entries]
             values[column] = np.array(numbers, np.float64)
     place = np.array([box.place for box in coco.boxes], np.int64)
-    origin = Origin(source.path, coco.unit, place)
+    origin = Origin(source.path, coco.unit, place, place - 1, coco.annotations)
     first = source.first if source.conventions.first_frame is not None else coco.first
     return Table(origin, first, values, np.zeros((len(entries), 0)), coco.names)
 

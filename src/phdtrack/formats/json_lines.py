@@ -23,12 +23,16 @@ def rows_of_json_lines(source: Source) -> Text | None:
         return None
     rows = list[dict[str, str]]()
     numbers = list[int]()
+    places = list[int]()
+    every = 0
     for number, line in enumerate(source.content.split(b"\n"), start=1):
         if not line.strip():
             continue
+        every += 1
         try:
             rows.append(_row(source, line, number))
             numbers.append(number)
+            places.append(every - 1)
         except InputError as error:
             # The JSON parser counts lines from this one.
             where = f"{source.path}, line {number}"
@@ -36,7 +40,7 @@ def rows_of_json_lines(source: Source) -> Text | None:
             if source.left_out is None:
                 raise placed from None
             source.left_out.add(placed, float(number))
-    return text_of_rows(source.path, rows, numbers)
+    return text_of_rows(source.path, rows, numbers, places, every)
 
 
 def _row(source: Source, line: bytes, number: int) -> dict[str, str]:

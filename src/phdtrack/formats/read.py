@@ -104,8 +104,14 @@ def detections_of(table: Table, left_out: MalformedRows | None = None) -> Detect
         table.get(Column.CLASS).astype(np.int64),
         _covariance(table) if table.triangle.shape[1] else None,
     )
-    empty = len(frame) - len(order)
-    return DetectionTable(frame[order], detections.select(order), empty, table.names)
+    return DetectionTable(
+        frame[order],
+        detections.select(order),
+        len(frame) - len(order),
+        table.names,
+        table.origin.row[order],
+        table.origin.rows,
+    )
 
 
 def _covariance(table: Table) -> F8:

@@ -176,7 +176,7 @@ class Table:
 
     def select(self, index: I8 | Bool) -> Table:
         """The rows ``index``."""
-        origin = replace(self.origin, number=self.origin.number[index])
+        origin = self.origin.select(index)
         values = {column: value[index] for column, value in self.values.items()}
         return replace(self, origin=origin, values=values, triangle=self.triangle[index])
 

@@ -56,7 +56,7 @@ class Text:
 
     def select(self, rows: Sequence[int]) -> Text:
         """The lines ``rows`` (0-based)."""
-        origin = replace(self.origin, number=self.origin.number[np.array(rows, np.int64)])
+        origin = self.origin.select(np.array(rows, np.int64))
         return replace(self, origin=origin, lines=[self.lines[row] for row in rows])
 
     def readable(self, columns: Mapping[int, str], wrong: MalformedRows) -> Text:
@@ -221,7 +221,13 @@ def _decode(path: Path, content: bytes) -> str:
     )
 
 
-def text_of_rows(path: Path, rows: Sequence[Mapping[str, str]], numbers: Sequence[int]) -> Text:
+def text_of_rows(
+    path: Path,
+    rows: Sequence[Mapping[str, str]],
+    numbers: Sequence[int],
+    places: Sequence[int] = (),
+    every: int = 0,
+) -> Text:
     """Rows of named cells, from the lines ``numbers`` of a file, as a table with a header; cells
     that a row does not have are empty.
 
@@ -230,10 +236,14 @@ def text_of_rows(path: Path, rows: Sequence[Mapping[str, str]], numbers: Sequenc
     path : the file.
     rows : the cells of each row by column.
     numbers : the line of each row in the file.
+    places, every : the number of each among all rows of the file, and how many there are; by
+        default these are all.
     """
     header = tuple(dict.fromkeys(name for row in rows for name in row))
     lines = [",".join(row.get(name, "") for name in header) for row in rows]
-    return Text(Origin(path, "line", np.array(numbers, np.int64)), lines, ",", len(header), header)
+    row = np.array(places, np.int64)
+    origin = Origin(path, "line", np.array(numbers, np.int64), row, every)
+    return Text(origin, lines, ",", len(header), header)
 
 
 def as_cell(value: object) -> str:

@@ -10,11 +10,13 @@ from phdtrack.config import Settings
 from phdtrack.detect import BACKGROUND
 from phdtrack.detect.base import Detector, class_names
 from phdtrack.detect.detectors import make_detector, working_width
+from phdtrack.errors import InputError
 from phdtrack.live.engine import CameraParts
 from phdtrack.models import PlaneSensor
 from phdtrack.run.camera_motion import mover_of
 from phdtrack.run.choices import chosen_settings
-from phdtrack.run.requests import TrackingRequest
+from phdtrack.run.descriptors import PictureDescriber, is_file, picture_describer
+from phdtrack.run.requests import DEFAULT_APPEARANCE, TrackingRequest
 from phdtrack.run.scene_pass import can_flicker, learning_flicker
 from phdtrack.types import SequenceInfo
 
@@ -26,6 +28,7 @@ _FIXED = (
     "camera_motion.",
     "classes.",
     "associate.output_delay",
+    "embedding.",
     "filter.acceleration_factors",
     "filter.samples",
 )
@@ -66,6 +69,19 @@ class CameraSetup:
             values |= {"classes": only}
         return make_detector(self.detector, max_width=max_width, mask=self.mask, **values)
 
+    def described_by(self, settings: Settings) -> PictureDescriber:
+        """What reads the appearance of boxes. Raises `InputError` if it cannot be used, or is a
+        file.
+        """
+        appearance = self.tracking.appearance or DEFAULT_APPEARANCE
+        if is_file(appearance):
+            raise InputError(
+                "a .npy file has a row for each row of a file of detections, and a camera has none",
+                where="--appearance",
+                cure="Say colours, onnx:FILE or none.",
+            )
+        return picture_describer(appearance, settings.build("embedding"))
+
     def __call__(self, info: SequenceInfo) -> CameraParts:
         """The parts for pictures of this size."""
         settings = self.settings()
@@ -89,6 +105,7 @@ class CameraSetup:
             groups,
             self.tracking.seed,
             mover_of(settings, model, pictures=True),
+            self.described_by(settings).describer,
         )
 
 

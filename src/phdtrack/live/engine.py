@@ -16,7 +16,7 @@ import numpy as np
 
 from phdtrack.addresses import shown
 from phdtrack.arrays import pixelated
-from phdtrack.detect.base import Detector
+from phdtrack.detect.base import Describer, Detector
 from phdtrack.detect.convert import DiscardedBoxes
 from phdtrack.errors import InputError
 from phdtrack.groups.group_stages import GroupStages, OnlineGroups
@@ -85,6 +85,7 @@ class CameraParts(NamedTuple):
     groups : None if people are not tracked on the ground.
     seed : of everything random.
     mover : the camera's motion; None for a camera that stands still.
+    describer : reads what boxes look like; None if nothing is read of it.
     """
 
     detector: Detector
@@ -95,6 +96,7 @@ class CameraParts(NamedTuple):
     groups: GroupStages | None = None
     seed: int = 0
     mover: Mover | None = None
+    describer: Describer | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,7 +429,10 @@ class Camera:
         tracker = self._tracker(parts)
         tracker.load_state_dict(running.tracker.state_dict(), same_settings=False)
         # Detector and motion go on with what they know of the last picture.
-        parts = parts._replace(detector=running.parts.detector, mover=running.parts.mover)
+        before = running.parts
+        parts = parts._replace(
+            detector=before.detector, mover=before.mover, describer=before.describer
+        )
         self.running = running._replace(parts=parts, tracker=tracker)
 
     def _tracker(self, parts: CameraParts) -> Tracker:
@@ -475,7 +480,7 @@ class Camera:
             number=frame.number + self._ahead[0], time=frame.time + self._ahead[1]
         )
         picture = Frame(frame.number, frame.time, frame.image)
-        for detected in detect_frames(parts.detector, (picture,), parts.mover):
+        for detected in detect_frames(parts.detector, (picture,), parts.mover, parts.describer):
             tracked = track_frame(running.tracker, detected)
             for observer in self._observers:
                 observer.take(tracked)

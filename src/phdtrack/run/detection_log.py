@@ -21,15 +21,16 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from phdtrack import __version__
+from phdtrack.arrays import half_if_exact
 from phdtrack.detect import knowledge, restore
-from phdtrack.detect.base import prepared
+from phdtrack.detect.base import described, prepared
 from phdtrack.errors import InputError
 from phdtrack.files import cannot_write, json_value, part_of, publish, whole
 from phdtrack.run.camera_motion import Mover
@@ -73,6 +74,8 @@ class DetectionLog:
     every : seconds between checkpoints.
     resume : continue from the checkpoint, if there is one.
     anew : do not reuse detections of an earlier run.
+    described_by : what decides their embeddings, in values that JSON knows; None without any. Those
+        that were decided by something else are described anew.
     """
 
     def __init__(
@@ -84,12 +87,16 @@ class DetectionLog:
         *,
         resume: bool,
         anew: bool = False,
+        described_by: object = None,
     ) -> None:
         self._log = directory.file(LOG)
         self._checkpoint = directory.file(KNOWN)
         self._complete = directory.file(DETECTED)
         self._key = _text(key)
         self._detected_by = _text(detected_by)
+        self._described_by = ""
+        if described_by is not None:
+            self._described_by = json.dumps(json_value(described_by), sort_keys=True)
         self._every = every
         self._due = 0.0
         self._saving: threading.Thread | None = None
@@ -102,7 +109,7 @@ class DetectionLog:
             detected_by
             and not anew
             and self.checkpoint is None
-            and self._decided_by() == self._detected_by
+            and self._decided_by()[0] == self._detected_by
         )
 
     @property
@@ -140,7 +147,7 @@ class DetectionLog:
         """
         checkpoint = self.checkpoint
         if self.reused:
-            yield from self._reused(frames, mover)
+            yield from self._reused(inputs, frames, mover)
             return
         study_scene(inputs)
         if checkpoint is not None:
@@ -151,10 +158,12 @@ class DetectionLog:
                 log.seek(checkpoint.size)
             self._due = time.monotonic() + self._every
             if not checkpoint:
-                self._add(inputs, {"looked": self._detected_by}, log)
+                decided = {"looked": self._detected_by, "described": self._described_by}
+                self._add(inputs, decided, log)
             detected = None
             try:
-                for detected in detect_frames(inputs.detector, frames, mover):
+                describer = inputs.descriptors.describer
+                for detected in detect_frames(inputs.detector, frames, mover, describer):
                     self._add(inputs, _block(detected), log)
                     yield detected
             except GeneratorExit:
@@ -174,26 +183,36 @@ class DetectionLog:
                 publish(self._complete)
                 self._checkpoint.unlink(missing_ok=True)
 
-    def _reused(self, frames: Iterator[Frame], mover: Mover | None) -> Iterator[DetectedFrame]:
+    def _reused(
+        self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None
+    ) -> Iterator[DetectedFrame]:
         """The detections of an earlier run in these frames."""
+        same_looks = self._decided_by()[1] == self._described_by
         with self._complete.open("rb") as log:
             stored = blocks(log)
             next(stored)
             for frame in frames:
                 block = next(stored, (0, None))[1]
                 detected = _detected(block, frame, self._complete, "Say --detect-again")
+                if not same_looks:
+                    found = replace(detected.detections, embeddings=None)
+                    found = described(found, frame, inputs.descriptors.describer)
+                    detected = detected._replace(detections=found)
                 # The camera's motion may be another one than then.
                 warp = STILL
                 if mover is not None:
                     warp = mover(frame, detected.detections, detected.pose)
                 yield detected._replace(warp=warp)
 
-    def _decided_by(self) -> str:
-        """The key of the detections that an earlier run left; empty if there are none."""
-        errors = (OSError, KeyError, TypeError, StopIteration)
+    def _decided_by(self) -> tuple[str, str]:
+        """The keys of the detections that an earlier run left, and of their embeddings; empty if
+        there are none.
+        """
+        errors = (OSError, KeyError, TypeError, AttributeError, StopIteration)
         with suppress(*errors), self._complete.open("rb") as log:
-            return str(next(blocks(log))[1]["looked"])
-        return ""
+            first = next(blocks(log))[1]
+            return str(first["looked"]), str(first.get("described", ""))
+        return "", ""
 
     def _logged(
         self,
@@ -362,6 +381,8 @@ def _block(detected: DetectedFrame) -> dict[str, Any]:
     }
     if detections.covariance is not None:
         block["covariance"] = detections.covariance
+    if detections.embeddings is not None:
+        block["embeddings"] = half_if_exact(detections.embeddings)
     return block
 
 
@@ -371,6 +392,9 @@ def _detected(block: Any, frame: Frame, where: Path, cure: str) -> DetectedFrame
         same = block["number"] == frame.number and block["time"] == frame.time
         warp = block["warp"]
         pose = block["pose"]
+        embeddings = block.get("embeddings")
+        if embeddings is not None:
+            embeddings = embeddings.astype(np.float32)
         detected = DetectedFrame(
             frame,
             Detections(
@@ -379,6 +403,7 @@ def _detected(block: Any, frame: Frame, where: Path, cure: str) -> DetectedFrame
                 block["class_id"],
                 covariance=block.get("covariance"),
                 observed=bool(block["observed"]),
+                embeddings=embeddings,
             ),
             warp,
             float(block["seconds"]),
@@ -406,6 +431,9 @@ def _sound(detections: Detections) -> bool:
     arrays = [(detections.xyxy, (n, 4)), (detections.confidence, (n,))]
     if detections.covariance is not None:
         arrays.append((detections.covariance, (n, 4, 4)))
+    embeddings = detections.embeddings
+    if embeddings is not None and (embeddings.ndim != 2 or len(embeddings) != n):
+        return False
     finite = all(
         a.dtype == np.float64 and a.shape == shape and np.isfinite(a).all() for a, shape in arrays
     )

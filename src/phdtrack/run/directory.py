@@ -35,6 +35,7 @@ TRACKS = "tracks.csv"
 ONLINE = "tracks_online.csv"
 STATES = "states.csv"
 DETECTIONS = "detections.csv"
+EMBEDDINGS = "detections.npy"
 GROUPS = "groups.csv"
 MEMBERS = "members.csv"
 EVENTS = "events.csv"
@@ -59,6 +60,7 @@ RUN_FILES = {
     ONLINE: "the same online, frame by frame",
     STATES: "the filter's states before association",
     DETECTIONS: "detections",
+    EMBEDDINGS: "what the detections look like, a row for each (NumPy)",
     GROUPS: "every group in every frame: count, place, contour",
     MEMBERS: "members of each group",
     EVENTS: "groups that appear, vanish, merge, split",

@@ -12,14 +12,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from phdtrack.addresses import shown
 from phdtrack.conventions import Conventions
 from phdtrack.detect import TableDetector, make_detector
-from phdtrack.detect.base import Detector, class_names, prepared
+from phdtrack.detect.base import Describer, Detector, class_names, prepared
 from phdtrack.detect.convert import within_frame
 from phdtrack.detect.detectors import working_width
 from phdtrack.detect.scene_knowledge import study
@@ -53,6 +53,25 @@ _CERTAIN = 0.25
 _CUT = 0.6
 
 
+class Descriptors(NamedTuple):
+    """The source of what boxes look like.
+
+    Attributes
+    ----------
+    name : for run.json: ``colours``, ``onnx:FILE`` or the file with a row for each detection; empty
+        for none.
+    describer : reads it from the pictures; None if it is in a file, or for none.
+    dtype : of the numbers that the run keeps.
+    """
+
+    name: str = ""
+    describer: Describer | None = None
+    dtype: str = "float16"
+
+
+NO_DESCRIPTORS = Descriptors()
+
+
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """The frames and the detector of a run.
@@ -71,6 +90,7 @@ class Inputs:
     max_width : of the pictures that the detector gets; 0 for their own.
     last_detected : last frame of which a file has detections.
     files : paths that are read; None or empty for none.
+    descriptors : where it is known from what boxes look like.
     """
 
     info: SequenceInfo
@@ -87,6 +107,7 @@ class Inputs:
     max_width: int = 0
     last_detected: int = 0
     files: tuple[object, ...] = ()
+    descriptors: Descriptors = NO_DESCRIPTORS
 
 
 def study_scene(inputs: Inputs) -> None:
@@ -106,7 +127,9 @@ def detected_frames(
     study_scene(inputs)
     with (
         ahead(prepared(inputs.detector, inputs.source)) as pictures,
-        ahead(detect_frames(inputs.detector, pictures, mover)) as detected,
+        ahead(
+            detect_frames(inputs.detector, pictures, mover, inputs.descriptors.describer)
+        ) as detected,
     ):
         yield detected
 

@@ -6,13 +6,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from phdtrack.clock import Clock, as_clock
-from phdtrack.detect.base import Detector, detect_all, pose_of
+from phdtrack.detect.base import Describer, Detector, described, detect_all, pose_of
 from phdtrack.pipeline import TrackingState
 from phdtrack.run.camera_motion import Mover
 from phdtrack.tracker import Tracker, uninterrupted
@@ -28,7 +29,7 @@ class DetectedFrame(NamedTuple):
     ----------
     frame, detections : the frame, and everything that was detected in it.
     warp : (3, 3) from the pixels of the last frame to those of this one, or `types.STILL`.
-    seconds : time that the detector took.
+    seconds : time that detecting and describing took.
     pose : (3, 3) from the pixels of the scene to those of this frame, or `types.STILL`.
     """
 
@@ -65,16 +66,23 @@ class FrameObserver(Protocol):
 
 
 def detect_frames(
-    detector: Detector, frames: Iterable[Frame], mover: Mover | None = None
+    detector: Detector,
+    frames: Iterable[Frame],
+    mover: Mover | None = None,
+    describer: Describer | None = None,
 ) -> Iterator[DetectedFrame]:
-    """Detect objects in each frame, and measure the camera's motion.
+    """Detect objects in each frame, describe them, and measure the camera's motion.
 
     Parameters
     ----------
     detector, frames : the detector, and the frames.
     mover : the camera's motion; None for a camera that stands still.
+    describer : what the boxes look like; None if nothing is to be read of it.
     """
-    for frame, detections, seconds in detect_all(detector, frames):
+    for frame, found, seconds in detect_all(detector, frames):
+        clock = time.perf_counter()
+        detections = described(found, frame, describer)
+        seconds += time.perf_counter() - clock
         pose = pose_of(detector, frame)
         warp = STILL
         if mover is not None:

@@ -24,6 +24,7 @@ from phdtrack.report import About
 from phdtrack.run import directory as rundir
 from phdtrack.run.camera_motion import mover_of
 from phdtrack.run.choices import chosen_settings, scene_settings
+from phdtrack.run.descriptors import with_descriptors
 from phdtrack.run.detection_log import source_of
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.environment import HOME, detecting_packages, sources_digest, versions
@@ -119,15 +120,16 @@ def prepare(
     inputs = open_inputs(source, parameters, last, frame_range(request.frames))
     if truth is not None:
         _check_truth(truth, inputs, request.tracking.truth, of_truth)
+    inputs = with_descriptors(inputs, request.tracking.appearance, settings.build("embedding"))
     inputs = replace(
         inputs,
-        files=_read_files(request, settings),
+        files=(*inputs.files, *_read_files(request, settings)),
         warnings=(*notices, *guesses(inputs.detector), *inputs.warnings),
     )
     settings = config.for_run(settings, endless=not inputs.again)
     classes = config.build_classes(settings, inputs.info, inputs.names, inputs.classes, moving=True)
     model = classes.usual.model
-    read = _read(request, inputs)
+    read = _read(request, inputs, settings)
     motion = settings.kind("camera_motion")
     options = RunOptions(
         about=begun_run(inputs.name, command, request.tracking.seed),
@@ -222,7 +224,7 @@ def _truth_of_part(truth: Truth | None, request: RunRequest, inputs: Inputs) -> 
     )
 
 
-def _read(request: RunRequest, inputs: Inputs) -> dict[str, object]:
+def _read(request: RunRequest, inputs: Inputs, settings: Settings) -> dict[str, object]:
     """The inputs and how they are read, for run.json."""
     source = request.source
     read: dict[str, object]
@@ -242,10 +244,24 @@ def _read(request: RunRequest, inputs: Inputs) -> dict[str, object]:
         read["frames"] = request.frames
     if not request.output.learn:
         read["learn"] = False
+    if inputs.descriptors.name:
+        read["appearance"] = _appearance(inputs, settings)
     network = inputs.described.partition(":")[2]
     if source.detections is None and network:
         read["network"] = source_of(network)
     return read
+
+
+def _appearance(inputs: Inputs, settings: Settings) -> dict[str, object]:
+    """The source of what boxes look like, for run.json: its name, and the file with its time."""
+    name = inputs.descriptors.name
+    file = name.removeprefix("onnx:")
+    if file == "colours":
+        return {"name": name}
+    found: dict[str, object] = {"name": name, "file": source_of(absolute(file))}
+    if file != name:
+        found["settings"] = json_value(settings.build("embedding"))
+    return found
 
 
 def _detected_by(
@@ -259,7 +275,7 @@ def _detected_by(
         return {}
     mask = str(read["mask"])
     # Without a file of detections they are the truth's.
-    others = ("reading", "learn")
+    others = ("reading", "learn", "appearance")
     deciding = {name: value for name, value in read.items() if name not in others}
     return {
         **deciding,

@@ -16,6 +16,8 @@ from phdtrack.conventions import Conventions
 from phdtrack.errors import InputError
 
 DEFAULT_DETECTOR = "change"
+DEFAULT_APPEARANCE = "none"
+"""What is read of the boxes' appearance unless the user says so or a run has kept it."""
 CHECKPOINT_EVERY = 10.0
 """Seconds between checkpoints by default."""
 FrameRange = tuple[int, int]
@@ -125,6 +127,8 @@ class TrackingRequest:
     threads : threads of particle filters; None for the settings' value.
     classes : classes to track, separated by commas.
     max_detections : detections per frame; None for the settings' value.
+    appearance : ``colours``, ``onnx:FILE``, a ``.npy`` file with a row for each detection, or
+        ``none``; empty for what a run has kept beside the detections, or the default.
     """
 
     filter_name: str = ""
@@ -137,6 +141,7 @@ class TrackingRequest:
     threads: int | None = None
     classes: str = ""
     max_detections: int | None = None
+    appearance: str = ""
 
 
 @dataclass(frozen=True, slots=True)

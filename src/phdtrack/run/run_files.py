@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from phdtrack.files import return_memory
 from phdtrack.final_rows import FinalTracks
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter
+from phdtrack.formats.embeddings import EmbeddingsWriter
 from phdtrack.run import directory as rundir
 from phdtrack.run.annotated_video import LiveVideo
 from phdtrack.run.loop import TrackedFrame
@@ -31,6 +32,11 @@ class RunFiles:
         self._progress = progress
         directory = run.directory
         self._detections = DetectionsWriter(directory.file(rundir.DETECTIONS), run.names)
+        self._embeddings: EmbeddingsWriter | None = None
+        descriptors = run.inputs.descriptors
+        if descriptors.name:
+            file = directory.file(rundir.EMBEDDINGS)
+            self._embeddings = EmbeddingsWriter(file, descriptors.dtype)
         self._states = StatesWriter(directory.file(rundir.STATES))
         self._online = TracksWriter(directory.file(rundir.ONLINE), run.names)
         # Corrected tracks of a source that may never end go to disk when they are final, and the
@@ -43,7 +49,14 @@ class RunFiles:
             self._final = FinalTracks(progress.tracker)
             if run.options.video and run.inputs.pictures:
                 self._video = LiveVideo(run)
-        writers = (self._detections, self._states, self._online, self._corrected, self._video)
+        writers = (
+            self._detections,
+            self._embeddings,
+            self._states,
+            self._online,
+            self._corrected,
+            self._video,
+        )
         for writer in writers:
             # An error at closing must not take with it what was computed.
             files.enter_context(progress.writing())
@@ -55,7 +68,10 @@ class RunFiles:
 
     def take(self, tracked: TrackedFrame) -> None:
         """Write a frame."""
-        self._detections.append(tracked.step.number, tracked.detected.detections)
+        found = tracked.detected.detections
+        self._detections.append(tracked.step.number, found)
+        if self._embeddings is not None:
+            self._embeddings.append(found.embeddings, len(found))
         self._states.append(tracked.step)
         self._append(self._online, tracked.rows)
         for observer in self._run.observers:

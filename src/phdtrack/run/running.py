@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -125,7 +125,9 @@ class FrameSummary(NamedTuple):
         """The summary of a tracked frame."""
         step = tracked.step
         info = step.info
-        return cls(step.number, step.time, step.detections, info.mass, info.clutter_probability)
+        # There are as many summaries as frames, and embeddings are long.
+        found = replace(step.detections, embeddings=None)
+        return cls(step.number, step.time, found, info.mass, info.clutter_probability)
 
 
 def used_boxes(rows: Tracks, summaries: Iterable[FrameSummary]) -> F8:

@@ -8,12 +8,18 @@ all.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import SpooledTemporaryFile
+from typing import Any
+from weakref import finalize
 
 import numpy as np
 
+from phdtrack.arrays import half_if_exact
 from phdtrack.config import Settings
 from phdtrack.detect import BACKGROUND
 from phdtrack.models.flicker_odds import FlickerOdds
@@ -37,8 +43,10 @@ from phdtrack.scene.flicker import (
     travellers,
     without_flicker,
 )
-from phdtrack.types import F8, I8, Detections, Frame, Image, Tracks
+from phdtrack.types import F4, F8, I8, Detections, Frame, Image, Tracks
 
+# Bytes of embeddings that are kept in memory.
+IN_MEMORY = 64_000_000
 # Rows of the map of where a scene flickers.
 _ROWS = 72
 # A place flickers, for the report, if it does in this share of the frames.
@@ -77,19 +85,54 @@ def can_learn(run: Run) -> bool:
     return run.options.learn and background and inputs.again
 
 
+class _KeptEmbeddings:
+    """The embeddings of frames, in a file without a name if they are many."""
+
+    def __init__(self, folder: Path | None) -> None:
+        # Open as long as this lives.
+        self._file = SpooledTemporaryFile(IN_MEMORY, dir=str(folder) if folder else None)  # noqa: SIM115
+        finalize(self, self._file.close)
+        self._end = 0
+        # By place of the frame: where its embeddings begin, their shape, and their type.
+        self._parts = dict[int, tuple[int, tuple[int, ...], np.dtype[Any]]]()
+
+    def add(self, place: int, embeddings: F4 | None) -> None:
+        """Keep those of a frame; None is what it gets back without any."""
+        if embeddings is None:
+            return
+        kept = half_if_exact(embeddings)
+        self._parts[place] = (self._end, kept.shape, kept.dtype)
+        self._file.seek(self._end)
+        self._end += self._file.write(kept.tobytes())
+
+    def at(self, place: int) -> F4 | None:
+        """Those of the frame at a place; None without any."""
+        if place not in self._parts:
+            return None
+        begin, shape, dtype = self._parts[place]
+        self._file.seek(begin)
+        data = self._file.read(math.prod(shape) * dtype.itemsize)
+        return np.frombuffer(data, dtype).reshape(shape).astype(np.float32)
+
+
 class KeptFrames:
     """Detected frames without their pictures, kept for a second pass.
 
     A long file has a million of them: of frames with nothing but boxes only these are kept, in
-    arrays.
+    arrays. Embeddings, which are long, are kept on disk.
+
+    Parameters
+    ----------
+    folder : for embeddings; None for the system's own folder of temporary files.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path | None = None) -> None:
         self._number = array("q")
         self._time = array("d")
         self._seconds = array("d")
         self._count = array("q")
         self._boxes = array("d")
+        self._embeddings = _KeptEmbeddings(folder)
         # Frames with more than boxes, by their place.
         self._whole = dict[int, DetectedFrame]()
 
@@ -105,7 +148,9 @@ class KeptFrames:
             Detections.of(found.xyxy),
             seconds=detected.seconds,
         )
-        whole = detected._replace(frame=bare.frame)
+        self._embeddings.add(len(self), found.embeddings)
+        plain = replace(found, embeddings=None)
+        whole = detected._replace(frame=bare.frame, detections=plain)
         if not _alike(whole, bare):
             self._whole[len(self)] = whole
         self._number.append(frame.number)
@@ -119,15 +164,18 @@ class KeptFrames:
         first = 0
         for k, number in enumerate(self._number):
             last = first + self._count[k]
-            whole = self._whole.get(k)
-            if whole is None:
-                yield DetectedFrame(
+            kept = self._whole.get(k)
+            if kept is None:
+                kept = DetectedFrame(
                     Frame(number, self._time[k], NO_PICTURE),
                     Detections.of(boxes[first:last]),
                     seconds=self._seconds[k],
                 )
+            embeddings = self._embeddings.at(k)
+            if embeddings is None:
+                yield kept
             else:
-                yield whole
+                yield kept._replace(detections=replace(kept.detections, embeddings=embeddings))
             first = last
 
     @property

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from phdtrack.arrays import iou
 from phdtrack.clock import Clock
 from phdtrack.files import load, read_json
+from phdtrack.formats.embeddings import EmbeddingsWriter, open_embeddings
 from phdtrack.formats.write import Lines
 from phdtrack.metrics.matching import above, assign
 from phdtrack.report.doubtful_tracks import DoubtfulTracks
@@ -137,8 +138,8 @@ def same(before: _Rows, after: _Rows, since: int, begin: int) -> dict[int, int]:
 
 
 def join(parts: Sequence[tuple[Segment, Path]], directory: rundir.RunDirectory) -> dict[str, Any]:
-    """Write tracks.csv, states.csv, detections.csv and run.json of a video from those of its
-    segments, and return the last.
+    """Write tracks.csv, states.csv, detections.csv, detections.npy if they have one, and run.json
+    of a video from those of its segments, and return the last.
 
     Identities are numbered in the order in which they appear. Raises `InputError` if a file cannot
     be read or written.
@@ -172,8 +173,28 @@ def join(parts: Sequence[tuple[Segment, Path]], directory: rundir.RunDirectory) 
             before = after
             since = part.begin
             rows += len(own)
+    _join_embeddings(parts, ends, directory)
     document = _document(parts, runs) | {"tracks": used, "track_rows": rows}
     return finish_document(document, directory)
+
+
+def _join_embeddings(
+    parts: Sequence[tuple[Segment, Path]], ends: Sequence[float], directory: rundir.RunDirectory
+) -> None:
+    """Write detections.npy of a video from those of its segments, up to ``ends``; nothing if a
+    segment has none.
+    """
+    names = [folder / rundir.EMBEDDINGS for _, folder in parts]
+    if not all(name.exists() for name in names):
+        return
+    with EmbeddingsWriter(directory.file(rundir.EMBEDDINGS)) as writer:
+        for (part, folder), name, end in zip(parts, names, ends, strict=True):
+            file = folder / rundir.DETECTIONS
+            frames = [int(line.partition(",")[0]) for line in load(file).decode().splitlines()]
+            frame = np.array(frames, np.int64)
+            rows = np.flatnonzero((frame >= part.begin) & (frame < end))
+            kept = open_embeddings(name, len(frame), file)
+            writer.append(np.asarray(kept[rows], np.float32), len(rows))
 
 
 def _renamed(rows: _Rows, own: Sequence[int], identities: Mapping[int, int]) -> list[str]:

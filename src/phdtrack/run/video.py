@@ -36,7 +36,7 @@ from phdtrack.run.reporter import SILENT, Advance, Reporter
 from phdtrack.run.run_files import RunFiles
 from phdtrack.run.run_report import write_report
 from phdtrack.run.running import FrameSummary, Progress, Run, RunOptions, Stop
-from phdtrack.run.scene_pass import SceneLesson, can_learn
+from phdtrack.run.scene_pass import KeptFrames, SceneLesson, can_learn
 from phdtrack.run.scoring import score_run
 from phdtrack.scene.flicker import NOWHERE
 from phdtrack.tracker import Tracker, uninterrupted
@@ -118,7 +118,8 @@ def _run(run: Run, advance: Advance) -> RunResult:
     began = time.perf_counter()
     lesson = None
     if can_learn(run):
-        lesson = SceneLesson((run.inputs.info.width, run.inputs.info.height))
+        kept = KeptFrames(run.directory.path)
+        lesson = SceneLesson((run.inputs.info.width, run.inputs.info.height), kept)
     progress = _track(run, advance, lesson)
     tracked = time.perf_counter()
     return_memory()
@@ -268,6 +269,7 @@ def _detection_log(run: Run) -> DetectionLog | None:
         options.checkpoint_every,
         resume=run.resume,
         anew=options.detect_again,
+        described_by=options.read.get("appearance"),
     )
 
 
