@@ -4,7 +4,7 @@ of usual detectors.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,8 @@ LAYOUTS = (
     "rtdetr-rows",
     "yolox",
 )
+# The input of networks that describe crops.
+CROPS = ("N", 3, 64, 32)
 # Rows that say nothing, after those of blobs.
 PADDING = 18
 
@@ -283,3 +285,32 @@ def scene(
 def truth(boxes: Mapping[int, tuple[int, int, int, int]]) -> F8:
     """(N, 4) the boxes by class."""
     return np.array([boxes[code] for code in sorted(boxes)], np.float64).reshape(-1, 4)
+
+
+def write_embeddings(
+    path: Path,
+    shape: tuple[object, ...] = CROPS,
+    kind: str = "float",
+    metadata: Mapping[str, str] | None = None,
+    layer: Callable[[Graph, str], Any] | None = None,
+) -> Path:
+    """A network whose vector is the mean of each channel, and of its square."""
+    g = Graph()
+    x = g("Cast", "crops", to=TensorProto.FLOAT)
+    if shape[1] != 3:
+        x = g("Transpose", x, perm=[0, 3, 1, 2])
+    mean = g("ReduceMean", x, axes=[2, 3], keepdims=1)
+    square = g("ReduceMean", g("Mul", x, x), axes=[2, 3], keepdims=1)
+    out = g("Concat", mean, square, axis=1)
+    if layer is not None:
+        out = layer(g, out)
+    given = helper.make_tensor_value_info("crops", TYPES[kind], list(shape))
+    result = helper.make_tensor_value_info("vectors", TensorProto.FLOAT, None)
+    g.nodes.append(helper.make_node("Identity", [out], ["vectors"]))
+    graph = helper.make_graph(g.nodes, "looks", [given], [result], g.constants)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    for name, value in (metadata or {}).items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = name, value
+    onnx.save(model, path)
+    return path

@@ -348,6 +348,7 @@ class Tracker:
             pipelines.advance(found, 26, 26 / self.fps, shift)
         pipelines.flush()
         pipelines.finish()
+        Colours().describe(np.zeros((64, 64, 3), np.uint8), np.array([[8.0, 8.0, 24.0, 56.0]]))
         # More than may be in one place.
         crowd = found.select(np.zeros(limits.max_in_one_place + 1, np.int64))
         self.classes.within_limits(crowd)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
-from onnx import TensorProto, helper
 
 import networks
 from phdtrack.detect.base import Describer
@@ -19,36 +16,7 @@ from phdtrack.errors import InputError
 from phdtrack.types import F4, F8, Image
 
 BOXES = np.array([[0, 0, 20, 40], [20, 0, 40, 40], [-9, -9, -1, -1], [30, 0, 60, 40]], np.float64)
-USUAL = ("N", 3, 64, 32)
-
-
-def write(
-    path: Path,
-    shape: tuple[object, ...] = USUAL,
-    kind: str = "float",
-    metadata: Mapping[str, str] | None = None,
-    layer: Callable[[networks.Graph, str], str] | None = None,
-) -> Path:
-    """A network whose vector is the mean of each channel, and of its square."""
-    g = networks.Graph()
-    x = g("Cast", "crops", to=TensorProto.FLOAT)
-    if shape[1] != 3:
-        x = g("Transpose", x, perm=[0, 3, 1, 2])
-    mean = g("ReduceMean", x, axes=[2, 3], keepdims=1)
-    square = g("ReduceMean", g("Mul", x, x), axes=[2, 3], keepdims=1)
-    out = g("Concat", mean, square, axis=1)
-    if layer is not None:
-        out = layer(g, out)
-    given = helper.make_tensor_value_info("crops", networks.TYPES[kind], list(shape))
-    result = helper.make_tensor_value_info("vectors", TensorProto.FLOAT, None)
-    g.nodes.append(helper.make_node("Identity", [out], ["vectors"]))
-    graph = helper.make_graph(g.nodes, "looks", [given], [result], g.constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
-    for name, value in (metadata or {}).items():
-        entry = model.metadata_props.add()
-        entry.key, entry.value = name, value
-    onnx.save(model, path)
-    return path
+USUAL = networks.CROPS
 
 
 def picture() -> Image:
@@ -91,7 +59,9 @@ def unit(vectors: F4) -> None:
 def test_crops_are_normalised_by_imagenet(
     tmp_path: Path, shape: tuple[object, ...], kind: str
 ) -> None:
-    network: Describer = EmbeddingNetwork(write(tmp_path / "net.onnx", shape, kind))
+    network: Describer = EmbeddingNetwork(
+        networks.write_embeddings(tmp_path / "net.onnx", shape, kind)
+    )
     assert network.length == 6
     vectors = network.describe(picture(), BOXES)
     unit(vectors)
@@ -103,9 +73,11 @@ def test_crops_are_normalised_by_imagenet(
 def test_settings_and_metadata_change_the_input(tmp_path: Path) -> None:
     half = (np.full(3, 0.5), np.full(3, 0.25))
     settings = EmbeddingSettings(mean=(0.5, 0.5, 0.5), deviation=(0.25, 0.25, 0.25))
-    plain = write(tmp_path / "net.onnx")
-    stated = write(tmp_path / "told.onnx", metadata={"mean": "[0.5]*3", "std": "nonsense"})
-    known = write(
+    plain = networks.write_embeddings(tmp_path / "net.onnx")
+    stated = networks.write_embeddings(
+        tmp_path / "told.onnx", metadata={"mean": "[0.5]*3", "std": "nonsense"}
+    )
+    known = networks.write_embeddings(
         tmp_path / "known.onnx", metadata={"mean": "[0.5, 0.5, 0.5]", "std": "(0.25, 0.25, 0.25)"}
     )
     for file, given in ((plain, settings), (known, None)):
@@ -121,7 +93,7 @@ def test_settings_and_metadata_change_the_input(tmp_path: Path) -> None:
 
 
 def test_bytes_go_in_as_they_are(tmp_path: Path) -> None:
-    network = EmbeddingNetwork(write(tmp_path / "net.onnx", USUAL, "uint8"))
+    network = EmbeddingNetwork(networks.write_embeddings(tmp_path / "net.onnx", USUAL, "uint8"))
     assert network.guesses == ()
     vectors = network.describe(picture(), BOXES)
     unit(vectors)
@@ -130,10 +102,10 @@ def test_bytes_go_in_as_they_are(tmp_path: Path) -> None:
 
 
 def test_the_guess_is_told_with_its_cure(tmp_path: Path) -> None:
-    (sentence,) = EmbeddingNetwork(write(tmp_path / "net.onnx")).guesses
+    (sentence,) = EmbeddingNetwork(networks.write_embeddings(tmp_path / "net.onnx")).guesses
     assert "crops go in as 32x64 pixels, red first, with mean and deviation of ImageNet" in sentence
     assert "embedding.mean" in sentence
-    network = EmbeddingNetwork(write(tmp_path / "any.onnx", ("N", 3, "H", "W")))
+    network = EmbeddingNetwork(networks.write_embeddings(tmp_path / "any.onnx", ("N", 3, "H", "W")))
     assert "128x256 pixels" in network.guesses[0]
 
 
@@ -141,7 +113,7 @@ def test_batches_give_the_same(tmp_path: Path, rng: np.random.Generator) -> None
     image = rng.integers(0, 256, (90, 90, 3)).astype(np.uint8)
     corner = rng.uniform(0, 60, (23, 2))
     boxes = np.hstack([corner, corner + 25])
-    file = write(tmp_path / "net.onnx")
+    file = networks.write_embeddings(tmp_path / "net.onnx")
     whole = EmbeddingNetwork(file).describe(image, boxes)
     for batch in (1, 5):
         found = EmbeddingNetwork(file, EmbeddingSettings(batch=batch)).describe(image, boxes)
@@ -158,18 +130,26 @@ def one_for_all(g: networks.Graph, x: str) -> str:
 
 def test_other_outputs_and_inputs_are_refused(tmp_path: Path) -> None:
     cases = (
-        (write(tmp_path / "a.onnx", layer=first_channel), "got an output (1, 1, 1, 1)"),
-        (write(tmp_path / "b.onnx", ("N", 4, 64, 32)), "the network's inputs are not supported"),
+        (
+            networks.write_embeddings(tmp_path / "a.onnx", layer=first_channel),
+            "got an output (1, 1, 1, 1)",
+        ),
+        (
+            networks.write_embeddings(tmp_path / "b.onnx", ("N", 4, 64, 32)),
+            "the network's inputs are not supported",
+        ),
     )
     for file, message in cases:
         with pytest.raises(InputError, match=re.escape(message)) as caught:
             EmbeddingNetwork(file)
         assert "give one vector for each, (N, length)" in str(caught.value)
-    network = EmbeddingNetwork(write(tmp_path / "c.onnx", layer=one_for_all))
+    network = EmbeddingNetwork(networks.write_embeddings(tmp_path / "c.onnx", layer=one_for_all))
     with pytest.raises(InputError, match="expected one vector for each of 3 crops"):
         network.describe(picture(), BOXES)
     with pytest.raises(InputError, match="the network only takes crops of 32x64 pixels"):
-        EmbeddingNetwork(write(tmp_path / "d.onnx"), EmbeddingSettings(size=(64, 128)))
+        EmbeddingNetwork(
+            networks.write_embeddings(tmp_path / "d.onnx"), EmbeddingSettings(size=(64, 128))
+        )
     with pytest.raises(InputError, match="Export them to ONNX once"):
         EmbeddingNetwork(tmp_path / "weights.pt")
 

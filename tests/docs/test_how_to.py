@@ -56,8 +56,8 @@ def command(line: str) -> None:
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """street.mp4, beside it street/ with detections and truth, and people.onnx, which finds
-    blobs.
+    """street.mp4, beside it street/ with detections and truth, people.onnx, which finds blobs, and
+    looks.onnx, which describes crops.
     """
     folder = tmp_path_factory.mktemp("scene")
     command(
@@ -69,6 +69,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shape=("N", 3, 320, 320),
         metadata={"names": "['person', 'car', 'bus']"},
     )
+    networks.write_embeddings(folder / "looks.onnx")
     return folder
 
 

@@ -71,7 +71,7 @@ DETECTIONS = "detections.csv"
 LOG = "detections.log"
 # Sections of the settings on which no track depends; the detector's are among what decides the
 # detections.
-_NO_TRACK = ("detector", "groups", "contours", "encounters")
+_NO_TRACK = ("detector", "embedding", "groups", "contours", "encounters")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

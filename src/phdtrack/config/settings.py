@@ -45,6 +45,8 @@ Values = dict[str, Any]
 # are made every half minute, so that each has half a minute of its past at least, and is smoothed
 # three times.
 STREAM_HISTORY = 90.0
+# Sections whose settings the part checks that they are of.
+_CHECKED_BY_PART = ("detector", "embedding")
 # Sections with two rates, of which one is 0: in the neighbourhood of a box, and everywhere.
 _RATES = {
     "birth": ("births_per_detection", "births_per_second"),
@@ -94,11 +96,11 @@ class Settings:
         return usual
 
     def values(self, section: str) -> Values:
-        """The values that the preset and the user state of a section, without its kind. A detector
-        checks its settings itself.
+        """The values that the preset and the user state of a section, without its kind. Detectors
+        and networks check their settings themselves.
         """
         given = self.given.get(section, {})
-        if section == "detector":
+        if section in _CHECKED_BY_PART:
             return dict(given)
         kind = self.kind(section)
         preset = preset_values(self.preset).get(section, {})
@@ -239,7 +241,9 @@ def _replaced(settings: Settings, entries: Iterable[_Entry]) -> Settings:
     """
     given = {section: dict(values) for section, values in settings.given.items()}
     merged = Settings(settings.named, given, settings.detector)
-    kinds = [entry for entry in entries if entry.key == "kind" and entry.section != "detector"]
+    kinds = [
+        entry for entry in entries if entry.key == "kind" and entry.section not in _CHECKED_BY_PART
+    ]
     for section, _, kind, where in kinds:
         known = SECTIONS[section]
         if known == ("",):
@@ -265,7 +269,7 @@ def _state(settings: Settings, given: dict[str, Values], entry: _Entry) -> None:
     """Put an entry into ``given``, the user's values of ``settings``."""
     section, key, value, _ = entry
     values = given.setdefault(section, {})
-    if section == "detector":
+    if section in _CHECKED_BY_PART:
         values[key] = value
         return
     if section == "classes" and isinstance(value, Mapping):
@@ -319,7 +323,7 @@ def _check(settings: Settings, where: str) -> None:
         problem = f"preset {settings.preset} is for motion.kind={world}, not {kinds['motion']}"
         raise InputError(problem, where=where, cure="Leave the preset or motion.kind out")
     for section in settings.given:
-        if section == "detector":
+        if section in _CHECKED_BY_PART:
             continue
         kind = kinds[section]
         stated = {*constructor_defaults(section, kind), *settings.values(section)}

@@ -29,7 +29,7 @@ class Detector(Protocol):
 
 
 class Describer(Protocol):
-    """Describes what boxes look like, by the picture that they are in."""
+    """Describes the appearance of boxes in a picture."""
 
     @property
     def length(self) -> int:
@@ -158,7 +158,13 @@ def class_names(detector: Detector) -> Mapping[int, str] | None:
 
 
 def described(detections: Detections, frame: Frame, describer: Describer | None) -> Detections:
-    """The detections of a frame with embeddings by its picture; without a describer as they are."""
+    """The detections of a frame with embeddings.
+
+    Parameters
+    ----------
+    detections, frame : of the frame, and its picture.
+    describer : makes the embeddings; None: the detections stay as they are.
+    """
     if describer is None:
         return detections
     if len(detections):

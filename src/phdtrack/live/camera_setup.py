@@ -70,8 +70,8 @@ class CameraSetup:
         return make_detector(self.detector, max_width=max_width, mask=self.mask, **values)
 
     def described_by(self, settings: Settings) -> PictureDescriber:
-        """What reads the appearance of boxes. Raises `InputError` if it cannot be used, or is a
-        file.
+        """The describer of boxes, if there is one. Raises `InputError` if it cannot be used, or if
+        a file is named.
         """
         appearance = self.tracking.appearance or DEFAULT_APPEARANCE
         if is_file(appearance):
@@ -80,7 +80,7 @@ class CameraSetup:
                 where="--appearance",
                 cure="Say colours, onnx:FILE or none.",
             )
-        return picture_describer(appearance, settings.build("embedding"))
+        return picture_describer(appearance, settings.values("embedding"))
 
     def __call__(self, info: SequenceInfo) -> CameraParts:
         """The parts for pictures of this size."""

@@ -85,7 +85,7 @@ class CameraParts(NamedTuple):
     groups : None if people are not tracked on the ground.
     seed : of everything random.
     mover : the camera's motion; None for a camera that stands still.
-    describer : reads what boxes look like; None if nothing is read of it.
+    describer : describes the appearance of boxes; None if it is not used.
     """
 
     detector: Detector

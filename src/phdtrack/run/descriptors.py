@@ -1,12 +1,11 @@
-"""Sources of what boxes look like, from the words of a user: the pictures, or a file beside the
-detections.
-"""
+"""Sources of embeddings, as a user names them: the pictures, or a file beside the detections."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,23 +27,24 @@ _SAME = {"colors": "colours", "color": "colours", "colour": "colours"}
 
 
 class PictureDescriber(NamedTuple):
-    """What reads descriptors from pictures, its name, and sentences about what it had to guess."""
+    """A describer with its name, and sentences about what it had to guess."""
 
     describer: Describer | None = None
     name: str = ""
     guesses: tuple[str, ...] = ()
 
 
-def picture_describer(appearance: str, settings: EmbeddingSettings) -> PictureDescriber:
-    """What reads the appearance of boxes from pictures; nothing for ``none``, and for a file.
+def picture_describer(appearance: str, settings: Mapping[str, Any]) -> PictureDescriber:
+    """The describer that a word names; none for ``none``, and for a file.
 
     Raises `InputError` for an unknown word, and for a network that cannot be used.
 
     Parameters
     ----------
     appearance : as `TrackingRequest.appearance`, not empty.
-    settings : of a network.
+    settings : of a network, by name.
     """
+    checked = EmbeddingSettings.of(settings)
     word = _SAME.get(appearance, appearance)
     if word == "colours":
         return PictureDescriber(Colours(), word)
@@ -52,7 +52,7 @@ def picture_describer(appearance: str, settings: EmbeddingSettings) -> PictureDe
         # Networks need OpenCV and onnxruntime.
         from phdtrack.detect.onnx_embeddings import EmbeddingNetwork
 
-        network = EmbeddingNetwork(word.removeprefix(_NETWORK), settings)
+        network = EmbeddingNetwork(word.removeprefix(_NETWORK), checked)
         return PictureDescriber(network, word, network.guesses)
     if word == "none" or is_file(word):
         return PictureDescriber()
@@ -67,8 +67,8 @@ def is_file(appearance: str) -> bool:
     return appearance.endswith((".npy", ".npz"))
 
 
-def with_descriptors(inputs: Inputs, appearance: str, settings: EmbeddingSettings) -> Inputs:
-    """The inputs with what their boxes look like.
+def with_descriptors(inputs: Inputs, appearance: str, settings: Mapping[str, Any]) -> Inputs:
+    """The inputs with a source of embeddings.
 
     A file that a run has kept beside its detections is used unless the user says otherwise, which
     is told; it is not if it has another number of rows.
@@ -77,7 +77,7 @@ def with_descriptors(inputs: Inputs, appearance: str, settings: EmbeddingSetting
     ----------
     inputs : frames and detector.
     appearance : as `TrackingRequest.appearance`.
-    settings : of a network.
+    settings : of a network, by name.
 
     Raises
     ------

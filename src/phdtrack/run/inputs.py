@@ -54,14 +54,14 @@ _CUT = 0.6
 
 
 class Descriptors(NamedTuple):
-    """The source of what boxes look like.
+    """The source of embeddings.
 
     Attributes
     ----------
     name : for run.json: ``colours``, ``onnx:FILE`` or the file with a row for each detection; empty
         for none.
-    describer : reads it from the pictures; None if it is in a file, or for none.
-    dtype : of the numbers that the run keeps.
+    describer : makes them of the pictures; None if they are in a file, or for none.
+    dtype : type of the numbers that the run keeps.
     """
 
     name: str = ""
@@ -90,7 +90,7 @@ class Inputs:
     max_width : of the pictures that the detector gets; 0 for their own.
     last_detected : last frame of which a file has detections.
     files : paths that are read; None or empty for none.
-    descriptors : where it is known from what boxes look like.
+    descriptors : the source of embeddings.
     """
 
     info: SequenceInfo

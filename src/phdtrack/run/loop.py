@@ -77,7 +77,7 @@ def detect_frames(
     ----------
     detector, frames : the detector, and the frames.
     mover : the camera's motion; None for a camera that stands still.
-    describer : what the boxes look like; None if nothing is to be read of it.
+    describer : describes the appearance of the boxes; None if it is not used.
     """
     for frame, found, seconds in detect_all(detector, frames):
         clock = time.perf_counter()

@@ -120,7 +120,7 @@ def prepare(
     inputs = open_inputs(source, parameters, last, frame_range(request.frames))
     if truth is not None:
         _check_truth(truth, inputs, request.tracking.truth, of_truth)
-    inputs = with_descriptors(inputs, request.tracking.appearance, settings.build("embedding"))
+    inputs = with_descriptors(inputs, request.tracking.appearance, settings.values("embedding"))
     inputs = replace(
         inputs,
         files=(*inputs.files, *_read_files(request, settings)),
@@ -260,7 +260,7 @@ def _appearance(inputs: Inputs, settings: Settings) -> dict[str, object]:
         return {"name": name}
     found: dict[str, object] = {"name": name, "file": source_of(absolute(file))}
     if file != name:
-        found["settings"] = json_value(settings.build("embedding"))
+        found["settings"] = settings.values("embedding")
     return found
 
 

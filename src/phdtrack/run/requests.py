@@ -17,7 +17,7 @@ from phdtrack.errors import InputError
 
 DEFAULT_DETECTOR = "change"
 DEFAULT_APPEARANCE = "none"
-"""What is read of the boxes' appearance unless the user says so or a run has kept it."""
+"""The source of embeddings if the user names none and no run has kept them."""
 CHECKPOINT_EVERY = 10.0
 """Seconds between checkpoints by default."""
 FrameRange = tuple[int, int]

@@ -89,15 +89,16 @@ class _KeptEmbeddings:
     """The embeddings of frames, in a file without a name if they are many."""
 
     def __init__(self, folder: Path | None) -> None:
+        place = str(folder) if folder else None
         # Open as long as this lives.
-        self._file = SpooledTemporaryFile(IN_MEMORY, dir=str(folder) if folder else None)  # noqa: SIM115
+        self._file = SpooledTemporaryFile(IN_MEMORY, dir=place)  # noqa: SIM115
         finalize(self, self._file.close)
         self._end = 0
         # By place of the frame: where its embeddings begin, their shape, and their type.
         self._parts = dict[int, tuple[int, tuple[int, ...], np.dtype[Any]]]()
 
     def add(self, place: int, embeddings: F4 | None) -> None:
-        """Keep those of a frame; None is what it gets back without any."""
+        """Keep the embeddings of the frame at a place; None if it has none."""
         if embeddings is None:
             return
         kept = half_if_exact(embeddings)
@@ -106,7 +107,7 @@ class _KeptEmbeddings:
         self._end += self._file.write(kept.tobytes())
 
     def at(self, place: int) -> F4 | None:
-        """Those of the frame at a place; None without any."""
+        """The embeddings of the frame at a place; None if it has none."""
         if place not in self._parts:
             return None
         begin, shape, dtype = self._parts[place]
