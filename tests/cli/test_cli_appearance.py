@@ -20,6 +20,7 @@ from phdtrack.detect.colours import Colours
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks
 from phdtrack.live.camera_setup import CameraSetup
+from phdtrack.live.engine import Camera, CameraSettings
 from phdtrack.run import (
     OutputRequest,
     RunObserver,
@@ -35,6 +36,7 @@ from phdtrack.run.loop import DetectedFrame
 from phdtrack.run.preparation import claim_directory
 from phdtrack.types import Detections, Frame, Image, SequenceInfo
 from phdtrack.video import VideoWriter, open_source
+from phdtrack.video.live_sources import LiveFrame, SourceStatus
 
 FRAMES = 30
 EMBEDDINGS = "detections.npy"
@@ -285,6 +287,47 @@ def test_a_file_needs_the_rows_of_detections(scene: Path, given: Path, tmp_path:
     words = ["track", "--detections", given / "detections.csv", "--fps", 25, "--frame-size"]
     words += ["320x240", "--out", given, "--overwrite"]
     assert "is read for this run, and would be replaced by it" in refused(*words)
+
+
+class Arrived:
+    """A source of which all pictures have arrived."""
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def next(self, patience: float) -> LiveFrame | None:
+        return None
+
+    def status(self) -> SourceStatus:
+        return SourceStatus("live", frames=99, fps=25.0, width=320, height=240)
+
+
+class Looks:
+    """Keeps the embeddings of all frames, by number."""
+
+    def __init__(self) -> None:
+        self.seen = dict[int, tuple[Detections, Image]]()
+
+    def take(self, tracked: TrackedFrame) -> None:
+        """Keep a frame."""
+        frame = tracked.detected.frame
+        self.seen[frame.number] = (tracked.step.detections, frame.image)
+
+
+def test_a_live_camera_describes_its_boxes(tmp_path: Path) -> None:
+    make = CameraSetup(TrackingRequest(appearance="colours"), (), "mog2", 0, None)
+    looks = Looks()
+    settings = CameraSettings(tmp_path / "gate", video=0.0)
+    source: Any = Arrived()
+    camera = Camera("gate", source, make, settings, observers=(looks,))
+    for k, image in enumerate(pictures(), start=1):
+        camera.process(LiveFrame(k, k / 25, 1e9 + k / 25, image))
+    camera.stop(60.0)
+    assert sum(len(found) for found, _ in looks.seen.values()) > 20
+    for found, image in looks.seen.values():
+        expected = Colours().describe(image, found.xyxy)
+        np.testing.assert_array_equal(found.embeddings, expected)
 
 
 def test_live_cameras_read_colours() -> None:

@@ -184,16 +184,19 @@ def _join_embeddings(
     """Write detections.npy of a video from those of its segments, up to ``ends``; nothing if a
     segment has none.
     """
-    names = [folder / rundir.EMBEDDINGS for _, folder in parts]
-    if not all(name.exists() for name in names):
+    if not all((folder / rundir.EMBEDDINGS).exists() for _, folder in parts):
         return
-    with EmbeddingsWriter(directory.file(rundir.EMBEDDINGS)) as writer:
-        for (part, folder), name, end in zip(parts, names, ends, strict=True):
+    writer: EmbeddingsWriter | None = None
+    with ExitStack() as files:
+        for (part, folder), end in zip(parts, ends, strict=True):
             file = folder / rundir.DETECTIONS
             frames = [int(line.partition(",")[0]) for line in load(file).decode().splitlines()]
             frame = np.array(frames, np.int64)
             rows = np.flatnonzero((frame >= part.begin) & (frame < end))
-            kept = open_embeddings(name, len(frame), file)
+            kept = open_embeddings(folder / rundir.EMBEDDINGS, len(frame), file)
+            if writer is None:
+                joined = EmbeddingsWriter(directory.file(rundir.EMBEDDINGS), kept.dtype)
+                writer = files.enter_context(joined)
             writer.append(np.asarray(kept[rows], np.float32), len(rows))
 
 
