@@ -311,6 +311,7 @@ def write_embeddings(
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
     for name, value in (metadata or {}).items():
         entry = model.metadata_props.add()
-        entry.key, entry.value = name, value
+        entry.key = name
+        entry.value = value
     onnx.save(model, path)
     return path

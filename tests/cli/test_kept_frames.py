@@ -63,7 +63,8 @@ def test_kept_frames_come_back_as_they_were(
         for name in ("xyxy", "confidence", "class_id", "row"):
             found = getattr(one.detections, name)
             np.testing.assert_array_equal(found, getattr(other.detections, name))
-        looks, expected = one.detections.embeddings, other.detections.embeddings
+        looks = one.detections.embeddings
+        expected = other.detections.embeddings
         assert (looks is None) == (expected is None)
         if looks is not None and expected is not None:
             assert looks.dtype == np.float32

@@ -123,7 +123,8 @@ def test_grey_pictures_have_equal_differences(rng: np.random.Generator) -> None:
 
 def test_brightness_of_light_changes_little(rng: np.random.Generator) -> None:
     image = rng.integers(40, 200, (100, 90, 3)).astype(np.uint8)
-    first, other = Colours().describe(image, BOXES[:1]), Colours().describe(image + 3, BOXES[:1])
+    first = Colours().describe(image, BOXES[:1])
+    other = Colours().describe(image + 3, BOXES[:1])
     assert float((first * other).sum()) > 0.97
 
 
