@@ -31,7 +31,7 @@ from phdtrack.run import directory as rundir
 from phdtrack.run.choices import only_classes, scene_settings
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.preparation import begun_run
-from phdtrack.run.requests import ReadingRequest
+from phdtrack.run.requests import DEFAULT_APPEARANCE, ReadingRequest
 from phdtrack.tracker import Tracker
 
 DOCUMENT = "compare.json"
@@ -47,6 +47,10 @@ MOST_WARNINGS = 12
 _VARIANT = (
     "Another method, as few=filter.history=5,preset=m09: the first filter with these settings. May"
     " be given again."
+)
+_LOOKS = (
+    "What the boxes look like, read from the pictures: colours, onnx:FILE, or none (default:"
+    f" {DEFAULT_APPEARANCE})."
 )
 
 
@@ -81,6 +85,7 @@ class PlanOptions:
     labelled: given.Labelled = ""
     reading: ReadingRequest = field(default_factory=ReadingRequest)
     max_width: given.MaxWidth = None
+    appearance: Annotated[str, option("NAME", _LOOKS)] = ""
     iou: given.Iou = 0.5
     classes: given.Classes = ""
     max_file_size: given.MaxFileSize = ""
@@ -104,6 +109,7 @@ class PlanOptions:
             truth=self.truth,
             labelled=self.labelled,
             reading=self.reading,
+            appearance=self.appearance,
             clutter=rates,
             seeds=self.seeds,
             variants=self.variants or (),

@@ -20,11 +20,14 @@ from phdtrack.detect.convert import check_units, within_frame
 from phdtrack.detect.detectors import working_width
 from phdtrack.errors import InputError
 from phdtrack.formats import Conventions, find_seqinfo, read_detections, read_truth
+from phdtrack.run.descriptors import is_file as is_embeddings_file
+from phdtrack.run.requests import DEFAULT_APPEARANCE
 from phdtrack.types import SequenceInfo
 from phdtrack.video import open_source
 
 _VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".webm", ".m4v")
 _DEFAULT_DETECTOR = "change"
+NO_SETTINGS: Mapping[str, Any] = {}
 
 
 def _existing(word: str) -> Path:
@@ -37,14 +40,19 @@ def _existing(word: str) -> Path:
     return path
 
 
-def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list[Case]:
+def cases_of(
+    word: str,
+    request: Request,
+    parameters: Mapping[str, Any],
+    embedding: Mapping[str, Any] = NO_SETTINGS,
+) -> list[Case]:
     """The cases of a folder or a video; every file is read once to check it.
 
     Parameters
     ----------
     word : the folder or video, as the user wrote it.
     request : the whole request.
-    parameters : settings of detectors.
+    parameters, embedding : settings of detectors, and of a network that describes boxes.
     """
     path = _existing(word)
     name = path.absolute().name if path.is_dir() else path.stem
@@ -81,7 +89,17 @@ def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list
     if truth is not None:
         last = _annotated(truth, reading[0], known)
     size = known or SequenceInfo(0, 0, 0.0)
-    case = Case(name, "", size, truth, source, reading=reading, labelled=request.labelled)
+    case = Case(
+        name,
+        "",
+        size,
+        truth,
+        source,
+        reading=reading,
+        labelled=request.labelled,
+        appearance=_appearance(request, source),
+        embedding=embedding,
+    )
     cases = list[Case]()
     for label, file in files:
         info = _info(word, file, known, last, reading[1])
@@ -91,6 +109,22 @@ def cases_of(word: str, request: Request, parameters: Mapping[str, Any]) -> list
         for detector, settings in detector_settings(detectors, parameters).items():
             cases.append(_detected(case, detector, settings, request))
     return cases
+
+
+def _appearance(request: Request, source: str) -> str:
+    """The appearance that a case has; empty for none. Raises `InputError` if pictures are needed
+    and there are none.
+    """
+    appearance = request.appearance or DEFAULT_APPEARANCE
+    if appearance == "none" or not (request.appearance or source):
+        return ""
+    if is_embeddings_file(appearance) or not source:
+        raise InputError(
+            "a comparison reads it from pictures",
+            where=f"--appearance {appearance}",
+            cure="Say colours or onnx:FILE, for sequences with a video or images, or none.",
+        )
+    return appearance
 
 
 def _decoded(source: str, info: SequenceInfo | None) -> SequenceInfo:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
+from typing import Any
 
 from phdtrack import config
 from phdtrack.compare.case_files import cases_of, detector_settings, is_file
 from phdtrack.compare.plans import Method, Plan, Request, Run
 from phdtrack.config.registry import SECTIONS
 from phdtrack.errors import InputError, did_you_mean
+from phdtrack.run.descriptors import picture_describer
 from phdtrack.run.scored_files import check_listed
 
 # Sections whose settings belong to one kind of filter; other settings apply to all.
@@ -36,19 +38,30 @@ def plan(request: Request) -> Plan:
                 )
     check_listed(request.labelled)
     methods = _methods(request)
-    detector_texts = [text for text in request.sets if _section(text) == "detector"]
-    parameters = request.load(detector_texts).values("detector")
+    parameters = _values(request, "detector")
+    embedding = _values(request, "embedding")
     # Unknown detectors are an error even if no sequence uses them.
     detector_settings(request.detectors, parameters)
     cases = tuple(
-        case for word in request.sequences for case in cases_of(word, request, parameters)
+        case
+        for word in request.sequences
+        for case in cases_of(word, request, parameters, embedding)
     )
+    # Unknown words, and networks that cannot be used, are an error before anything runs.
+    for appearance in {one.appearance for one in cases if one.appearance}:
+        picture_describer(appearance, embedding)
     for case in cases:
         for method in methods:
             settings = Run(case, 0.0, method, 1).settings
             config.build(settings, case.info, moving=True)
     seeds = tuple(range(1, request.seeds + 1))
     return Plan(cases, methods, tuple(request.clutter), seeds, request.iou)
+
+
+def _values(request: Request, section: str) -> dict[str, Any]:
+    """The values that the request states of a section."""
+    texts = [text for text in request.sets if _section(text) == section]
+    return request.load(texts).values(section)
 
 
 def _section(text: str) -> str:

@@ -33,6 +33,8 @@ class Case:
         (0: not shrunk).
     reading : how the truth, and the file of detections, are to be read.
     labelled : frames that are scored, as `run.scored_files.ScoringRequest.labelled`.
+    appearance, embedding : what describes the boxes by the pictures, as
+        `TrackingRequest.appearance` names it, empty for nothing; and the settings of a network.
     """
 
     sequence: str
@@ -45,6 +47,13 @@ class Case:
     max_width: int = 0
     reading: tuple[Conventions, Conventions] = (Conventions(), Conventions())
     labelled: str = ""
+    appearance: str = ""
+    embedding: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def looked_at(self) -> bool:
+        """True if the pictures are looked at before anything is tracked."""
+        return self.file is None or bool(self.appearance)
 
     @property
     def name(self) -> str:
@@ -165,6 +174,7 @@ class Request:
     truth : a file, with ``{}`` as in ``detections``; empty: that of the folder.
     reading : how truth and files of detections are to be read.
     labelled : frames that are scored, as `run.scored_files.ScoringRequest.labelled`.
+    appearance : ``colours``, ``onnx:FILE`` or ``none``; empty: the default of `phdtrack track`.
     clutter : rates of added clutter, boxes per frame.
     seeds : number of seeds, from 1.
     variants : ``NAME=section.name=value,…``: further methods with changed settings of the first
@@ -182,6 +192,7 @@ class Request:
     truth: str = ""
     reading: ReadingRequest = field(default_factory=ReadingRequest)
     labelled: str = ""
+    appearance: str = ""
     clutter: Sequence[float] = (0.0,)
     seeds: int = 5
     variants: Sequence[str] = ()

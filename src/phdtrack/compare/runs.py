@@ -30,6 +30,7 @@ import numpy as np
 
 import phdtrack
 from phdtrack import config
+from phdtrack.arrays import half_if_exact
 from phdtrack.clock import Clock
 from phdtrack.compare.plans import Case, Plan, Run
 from phdtrack.detect.convert import within_frame
@@ -52,6 +53,7 @@ from phdtrack.parallel import Failed, outcomes
 from phdtrack.report.pages import write_run
 from phdtrack.report.record import known_mean
 from phdtrack.run.camera_motion import Mover, mover_of
+from phdtrack.run.descriptors import picture_describer, with_descriptors
 from phdtrack.run.detection_log import load_detections, save_detections
 from phdtrack.run.environment import HOME, detecting_packages, files_digest, sources_digest
 from phdtrack.run.inputs import detected_frames, open_inputs
@@ -69,6 +71,7 @@ RUN = "run.json"
 TRACKS = "tracks.csv"
 DETECTIONS = "detections.csv"
 LOG = "detections.log"
+EMBEDDINGS = "detections.npy"
 # Sections of the settings on which no track depends; the detector's are among what decides the
 # detections.
 _NO_TRACK = ("detector", "embedding", "groups", "contours", "encounters")
@@ -203,10 +206,10 @@ def run(
         case.place: _Piece(
             folder / "detections" / case.place,
             json_value(_decides_detections(case)),
-            partial(_detect, case),
+            partial(_detect if case.file is None else _describe, case),
         )
         for case in plan.cases
-        if case.file is None
+        if case.looked_at
     }
     seen: dict[Path, dict[str, Any] | Failed] = {}
     try:
@@ -265,8 +268,8 @@ def _documents(
 
 
 def steps(plan: Plan) -> int:
-    """The last number that `run` gives to ``advance``: videos looked at by detectors, and runs."""
-    return sum(case.file is None for case in plan.cases) + len(plan.runs)
+    """The last number that `run` gives to ``advance``: videos looked at, and runs."""
+    return sum(case.looked_at for case in plan.cases) + len(plan.runs)
 
 
 def read_about(folder: Path) -> dict[str, Any]:
@@ -292,6 +295,7 @@ def _detect(case: Case, folder: Path) -> dict[str, object]:
     request = SourceRequest(case.source, detector=case.detections, max_width=case.max_width)
     began = time.perf_counter()
     inputs = open_inputs(request, case.parameters)
+    inputs = with_descriptors(inputs, case.appearance or "none", case.embedding)
     frames = 0
     with (
         DetectionsWriter(folder / DETECTIONS, inputs.names) as writer,
@@ -302,9 +306,36 @@ def _detect(case: Case, folder: Path) -> dict[str, object]:
             frames += 1
     return {
         "seconds_per_frame": (time.perf_counter() - began) / max(frames, 1),
-        "warning": "; ".join(filter(None, [inputs.source.note, inputs.source.problem])),
+        "warning": "; ".join(
+            filter(None, [*inputs.warnings, inputs.source.note, inputs.source.problem])
+        ),
         "names": inputs.names,
     }
+
+
+def _describe(case: Case, folder: Path) -> dict[str, object]:
+    """The embeddings of detections in a file by the pictures, written into the folder: a row for
+    each that is tracked, zeros for frames that the video does not have.
+    """
+    table, _ = _read(case, [])
+    describer, _, guesses = picture_describer(case.appearance, case.embedding)
+    assert describer is not None
+    embeddings = np.zeros((len(table), describer.length), np.float32)
+    for frame in open_source(case.source):
+        rows = table.places(frame.number)
+        if len(rows):
+            embeddings[rows] = describer.describe(frame.image, table.detections.xyxy[rows])
+    np.save(folder / EMBEDDINGS, half_if_exact(embeddings))
+    return {"warning": "; ".join(guesses)}
+
+
+def _read(case: Case, notices: list[str]) -> tuple[DetectionTable, tuple[str, ...]]:
+    """The detections in the file of a case, and sentences about those that are left out."""
+    assert case.file is not None
+    conventions = case.reading[1]
+    found = read_detections(case.file, conventions=conventions, notices=notices)
+    units = {"units": conventions.units, "box": conventions.box}
+    return within_frame(found, case.info, case.file, **units)
 
 
 def _tracking(run: Run, iou: float, folder: Path) -> _Piece:
@@ -411,11 +442,11 @@ def run_input(run: Run, kept: Path) -> RunInput:
     """
     case = run.case
     info = case.info
-    of_truth, of_detections = case.reading
+    of_truth = case.reading[0]
+    folder = kept / "detections" / case.place
+    about = read_about(folder)
     names: Mapping[int, str] | None
     if case.file is None:
-        folder = kept / "detections" / case.place
-        about = read_about(folder)
         frames = list(load_detections(folder / LOG))
         warnings: tuple[str, ...] = (str(about["warning"]),)
         names = about["names"] and {int(code): name for code, name in about["names"].items()}
@@ -424,10 +455,12 @@ def run_input(run: Run, kept: Path) -> RunInput:
         table = _table(frames)
     else:
         notices = list[str]()
-        found = read_detections(case.file, conventions=of_detections, notices=notices)
-        units = {"units": of_detections.units, "box": of_detections.box}
-        table, sentences = within_frame(found, info, case.file, **units)
+        table, sentences = _read(case, notices)
         warnings = (*notices, *sentences)
+        if case.appearance:
+            looks = np.load(folder / EMBEDDINGS).astype(np.float32)
+            table = replace(table, detections=replace(table.detections, embeddings=looks))
+            warnings = (*warnings, str(about["warning"]))
         names = table.names
         numbers = frames_walked(table, info.frames, info.fps)
         frames = list(table_frames(table, numbers, _clock(case.source, info.fps)))
@@ -463,6 +496,9 @@ def _table(frames: Sequence[DetectedFrame]) -> DetectionTable:
         np.concatenate([np.zeros(0), *(one.confidence for one in detections)]),
         np.concatenate([np.zeros(0), *(one.class_id for one in detections)]),
     )
+    if any(one.embeddings is not None for one in detections):
+        looks = [one.embeddings for one in detections if one.embeddings is not None and len(one)]
+        joined = replace(joined, embeddings=np.concatenate(looks) if looks else None)
     return DetectionTable(number.astype(np.int64), joined)
 
 
@@ -539,18 +575,26 @@ def _moved(frames: Iterable[DetectedFrame], mover: Mover | None) -> Iterator[Det
 def _decides_detections(case: Case) -> dict[str, object]:
     """Everything that decides the detections of a case."""
     if case.file is not None:
-        return {"file": _contents(case.file)}
-    network = case.detections.partition(":")[2]
-    return {
-        **({"network": _contents(Path(network))} if network else {}),
-        "phdtrack": phdtrack.__version__,
-        "sources": sources_digest(HOME),
-        "packages": detecting_packages(),
-        "video": _contents(Path(case.source)),
-        "detector": case.detections,
-        "parameters": dict(case.parameters),
-        "max_width": case.max_width,
-    }
+        found: dict[str, object] = {"file": _contents(case.file)}
+        if case.appearance:
+            found["reading"] = asdict(case.reading[1])
+    else:
+        network = case.detections.partition(":")[2]
+        found = {"network": _contents(Path(network))} if network else {}
+        found["detector"] = case.detections
+        found["parameters"] = dict(case.parameters)
+        found["max_width"] = case.max_width
+    if case.looked_at:
+        found["phdtrack"] = phdtrack.__version__
+        found["sources"] = sources_digest(HOME)
+        found["packages"] = detecting_packages()
+        found["video"] = _contents(Path(case.source))
+    if case.appearance:
+        describing = case.appearance.partition(":")[2]
+        found["appearance"] = case.appearance
+        found["embedding"] = dict(case.embedding)
+        found["describing_network"] = _contents(Path(describing)) if describing else ""
+    return found
 
 
 @lru_cache(maxsize=4096)
