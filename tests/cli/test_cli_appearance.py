@@ -34,6 +34,7 @@ from phdtrack.run import (
 from phdtrack.run.detection_log import load_detections, save_detections
 from phdtrack.run.loop import DetectedFrame
 from phdtrack.run.preparation import claim_directory
+from phdtrack.run.requests import DEFAULT_APPEARANCE
 from phdtrack.types import Detections, Frame, Image, SequenceInfo
 from phdtrack.video import VideoWriter, open_source
 from phdtrack.video.live_sources import LiveFrame, SourceStatus
@@ -179,10 +180,12 @@ def test_background_detections_keep_their_colours(scene: Path, tmp_path: Path) -
     said = phdtrack(*words, "--overwrite", "--json")
     assert said.object["detections_reused"] is True
     assert (out / EMBEDDINGS).read_bytes() == kept
-    assert phdtrack(*track(scene, out), "--overwrite", "--json").object["detections_reused"] is True
+    plain = ["--appearance", "none"]
+    said = phdtrack(*track(scene, out), "--overwrite", "--json", *plain)
+    assert said.object["detections_reused"] is True
     assert not (out / EMBEDDINGS).exists()
     other = tmp_path / "other"
-    assert phdtrack(*track(scene, other)).status == 0
+    assert phdtrack(*track(scene, other), *plain).status == 0
     said = phdtrack(*track(scene, other), "--overwrite", "--appearance", "colours", "--json")
     assert said.object["detections_reused"] is True
     assert (other / EMBEDDINGS).read_bytes() == kept
@@ -332,9 +335,11 @@ def test_a_live_camera_describes_its_boxes(tmp_path: Path) -> None:
 
 def test_live_cameras_read_colours() -> None:
     info = SequenceInfo(64, 48, 10.0)
-    for appearance, kind in (("", type(None)), ("none", type(None)), ("colours", Colours)):
-        make = CameraSetup(TrackingRequest(appearance=appearance), (), "change", 0, None)
-        assert isinstance(make(info).describer, kind)
+    for appearance in ("", "none", "colours"):
+        parts = CameraSetup(TrackingRequest(appearance=appearance), (), "change", 0, None)(info)
+        described = (appearance or DEFAULT_APPEARANCE) == "colours"
+        assert isinstance(parts.describer, Colours) == described
+        assert ("appearance" in parts.fixed) == described
     make = CameraSetup(TrackingRequest(appearance="looks.npy"), (), "change", 0, None)
     with pytest.raises(InputError, match="Say colours, onnx:FILE or none"):
         make(info)

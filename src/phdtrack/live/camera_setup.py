@@ -96,16 +96,21 @@ class CameraSetup:
         groups = None
         if isinstance(model.sensor, PlaneSensor):
             groups = config.build_groups(settings, classes.usual)
+        looks = self.described_by(settings)
+        fixed = _fixed(settings)
+        if looks.name:
+            # What a checkpoint has learned of the boxes is of this description.
+            fixed["appearance"] = looks.name
         return CameraParts(
             detector,
             classes,
             info,
             settings.build("associate").output_delay,
-            _fixed(settings),
+            fixed,
             groups,
             self.tracking.seed,
             mover_of(settings, model, pictures=True),
-            self.described_by(settings).describer,
+            looks.describer,
         )
 
 
