@@ -3,9 +3,9 @@
 A docstring that implements an equation carries its tag: the paper, then the place in it, in square
 brackets, as in ``[M07 §3]``, ``[M09 (22)]``, ``[D14 Alg. 2]``. The paper alone stands for all of
 it; ``[M07 §3; S05]`` is two tags. ``[PMB (3)]`` is equation 3 of docs/methods.md, Poisson
-multi-Bernoulli. The script reads the docstrings under src/phdtrack without
-importing anything and lists the tags by paper. ``--check`` writes nothing and fails if the page is
-out of date.
+multi-Bernoulli, ``[APP (2)]`` one of Appearance there. The script reads the docstrings under
+src/phdtrack without importing anything and lists the tags by paper. ``--check`` writes nothing and
+fails if the page is out of date.
 """
 
 from __future__ import annotations
@@ -76,6 +76,7 @@ PAPERS = {
         " association-based MeMBer. IEEE Trans. AES, 2015"
     ),
     "PMB": "The default filter: docs/methods.md, Poisson multi-Bernoulli, whose numbers these are",
+    "APP": "What boxes look like: docs/methods.md, Appearance, whose numbers these are",
     "G18": (
         "García-Fernández, Williams, Granström, Svensson: Poisson multi-Bernoulli mixture filter:"
         " direct derivation and implementation. IEEE Trans. AES, 2018"
@@ -149,7 +150,7 @@ PAPERS = {
     ),
 }
 Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
-PAPER = r"(?:[A-Z]{1,2}\d{2}|PMB)"
+PAPER = r"(?:[A-Z]{1,2}\d{2}|PMB|APP)"
 BRACKET = re.compile(rf"\[({PAPER}(?![\w])[^\[\]]*)\](?!\()")
 BETWEEN = re.compile(rf"[;,]\s*(?={PAPER}\b)")
 PART = re.compile(rf"({PAPER})(?: (.+))?")

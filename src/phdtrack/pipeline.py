@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.models.track_returns import with_returns
 from phdtrack.models.warp import as_warp, back, joined
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import (
@@ -53,6 +54,7 @@ class TrackingState:
         logarithms of their seconds.
     online_boxes : what the boxes of online rows have taught; None if they are the filter's.
     camera : what is known of the camera's motion; None if it is not looked for.
+    appearance : what is known of what boxes look like; None without that stage.
     """
 
     intensity: Any
@@ -69,6 +71,7 @@ class TrackingState:
     intervals: tuple[int, float] = (0, 0.0)
     online_boxes: Any = None
     camera: Any = None
+    appearance: Any = None
 
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
@@ -85,6 +88,7 @@ def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
         expected_targets=stages.explainer and stages.explainer.start(),
         online_boxes=stages.online and stages.online.start(),
         camera=stages.camera and stages.camera.start(),
+        appearance=stages.appearance and stages.appearance.start(),
     )
 
 
@@ -128,6 +132,7 @@ def advance(
     measured = divided.detections
 
     # Predict and update
+    appearance, model = _with_looks(stages, state, model, measured, time)
     frame_model = _with_hidden_targets(model, state.targets, dt)
     if stages.detection_scores:
         frame_model = stages.detection_scores.with_scores(
@@ -174,6 +179,8 @@ def advance(
         scores = stages.detection_scores.advance(scores, step)
     if stages.camera:
         camera = stages.camera.with_targets(camera, estimates)
+    if stages.appearance:
+        appearance = stages.appearance.advance(appearance, info.sure, frame_model.appearance)
     after = TrackingState(
         intensity,
         association,
@@ -189,6 +196,7 @@ def advance(
         intervals,
         online_boxes,
         camera,
+        appearance,
     )
     return after, step
 
@@ -245,6 +253,16 @@ def _unobserved(
         online_boxes=online_boxes,
     )
     return after, step
+
+
+def _with_looks(
+    stages: AnyStages, state: TrackingState, model: Model, measured: Detections, time: float
+) -> tuple[Any, Model]:
+    """The state of appearance, and the model with what the detections look like."""
+    if stages.appearance is None:
+        return state.appearance, model
+    appearance, looks = stages.appearance.looks(state.appearance, measured, time)
+    return appearance, replace(model, appearance=looks)
 
 
 def _explained(
@@ -353,11 +371,17 @@ def flush(stages: AnyStages, state: TrackingState) -> Tracks:
 def finish(stages: AnyStages, state: TrackingState) -> Tracks:
     """The corrected tracks of everything seen until ``state``, joined and smoothed."""
     tracks = stages.associator.finish(state.association, stages.model)
-    if stages.smoother is None:
-        return tracks
-    return stages.smoother.smooth(
-        tracks, stages.associator.measurements(state.association), stages.model
-    )
+    if stages.smoother:
+        model = stages.model
+        if stages.appearance:
+            model = replace(model, appearance=stages.appearance.known(state.appearance))
+        tracks = stages.smoother.smooth(
+            tracks, stages.associator.measurements(state.association), model
+        )
+    else:
+        pairs = stages.associator.returns(state.association)
+        tracks = with_returns(tracks, [(pair.ended, pair.began) for pair in pairs])
+    return tracks
 
 
 def merged(steps: Sequence[Step], detections: Detections) -> Step:

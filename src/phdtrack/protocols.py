@@ -20,16 +20,19 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.particle_models import SensorNumbers
 from phdtrack.types import (
     F8,
+    I8,
     STILL,
     Detections,
     DividedDetections,
     Estimates,
     MeasurementHistory,
     Particles,
+    Return,
     Step,
     Tracks,
     UpdateInfo,
@@ -211,6 +214,9 @@ class Model:
     ``pace`` is how fast the filter's time runs: at 1 as the clock, at 0.2 a fifth as fast
     (`Stages.longest_interval`). Births go by the clock. ``births_before``: the seconds
     before this frame whose births count at least.
+
+    ``appearance``: what the measurements of the frame look like, and what that is worth; None where
+    nothing is known.
     """
 
     motion: Motion
@@ -222,6 +228,7 @@ class Model:
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
     pace: float = 1.0
     births_before: float = 0.0
+    appearance: Looks | None = field(default=None, compare=False)
 
     def birth_seconds(self, dt: float) -> float:
         """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last
@@ -368,6 +375,10 @@ class Associator(Protocol[A]):
         tracks.
         """
 
+    def returns(self, state: A) -> tuple[Return, ...]:
+        """The identities that targets have taken again, oldest first."""
+        return ()
+
     def oldest(self, state: A) -> int:
         """The number of the first frame that is remembered, 0 before the first one."""
 
@@ -463,6 +474,33 @@ class Learning(Protocol[C]):
         """Take in what one frame brought."""
 
 
+class AppearanceModel(Protocol[C]):
+    """The worth of what boxes look like, learned while tracking."""
+
+    def start(self) -> C:
+        """The state before the first frame."""
+
+    def looks(self, state: C, detections: Detections, time: float) -> tuple[C, Looks | None]:
+        """The state for `advance`, and what a frame looks like; None where nothing is known.
+
+        Parameters
+        ----------
+        state, detections, time : after the frame before; of the frame; seconds.
+        """
+
+    def known(self, state: C) -> Looks | None:
+        """The law that was learned so far, with no detections; None where nothing was."""
+
+    def advance(self, state: C, sure: I8, looks: Looks | None) -> C:
+        """The state after a frame.
+
+        Parameters
+        ----------
+        state, looks : from `looks`.
+        sure : (K, 2) of `UpdateInfo.sure`.
+        """
+
+
 class OnlineBoxes(Protocol):
     """From online rows to the boxes that are shown."""
 
@@ -503,6 +541,7 @@ class Stages(Generic[S, A]):
     explainer : the merged-measurement model.
     smoother : of corrected tracks.      online : boxes of online rows.
     camera : what finds the camera's motion in the detections.
+    appearance : what boxes look like, as evidence.
     longest_interval : seconds between pictures up to which targets move as in videos; 0: however
         long it is.
     births_before : seconds before the first frame whose births are expected in it.
@@ -517,6 +556,7 @@ class Stages(Generic[S, A]):
     smoother: Smoother | None = None
     online: OnlineBoxes | None = None
     camera: CameraEstimator[Any] | None = None
+    appearance: AppearanceModel[Any] | None = None
     longest_interval: float = 0.2
     births_before: float = 0.0
 

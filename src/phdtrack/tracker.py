@@ -36,7 +36,17 @@ from phdtrack.input_checks import StreamSeen, checks_of
 from phdtrack.models.warp import as_warp
 from phdtrack.multiclass import ClassPipelines, ClassSettings
 from phdtrack.protocols import AnyStages
-from phdtrack.types import I8, LAST_FRAME, STILL, Detections, Image, SequenceInfo, Step, Tracks
+from phdtrack.types import (
+    I8,
+    LAST_FRAME,
+    STILL,
+    Detections,
+    Image,
+    Return,
+    SequenceInfo,
+    Step,
+    Tracks,
+)
 
 _LOG = logging.getLogger(__name__)
 # The keys of a saved state.
@@ -394,6 +404,13 @@ class Tracker:
         of their own.
         """
         return self._pipelines.finish()
+
+    @property
+    def returns(self) -> tuple[Return, ...]:
+        """The identities that online rows have taken again so far, oldest first: of targets that
+        were lost, came back and look the same.
+        """
+        return self._pipelines.returns
 
     @property
     def drawn(self) -> bool:

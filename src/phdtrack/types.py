@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -357,6 +357,9 @@ class UpdateInfo:
         none.
     detected : ∫ p_D D⁺, the expected number of detections of targets; NaN from filters that do not
         compute it.
+    sure : (K, 2) the labels of targets, ascending, that exist and of whose detection motion alone
+        leaves no doubt, and the measurement that each has, −1 for none; from filters that use
+        appearance.
     """
 
     mass_predicted: float
@@ -368,6 +371,7 @@ class UpdateInfo:
     vanished: int = 0
     cardinality: F8 = field(default_factory=lambda: np.zeros(0))
     detected: float = math.nan
+    sure: I8 = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
     @classmethod
     def without_update(cls, mass: float) -> UpdateInfo:
@@ -495,6 +499,10 @@ class Estimates:
         before, as this frame sees them, None if that is as the frame before saw them: for
         filters that revise the past. Empty: the past stands. One frame's reaches no further back
         than the last one's did.
+    appearance, appearance_count : (n, D) what the past of each target looks like, and of how many
+        independent descriptors that is the mean, 0 where it is not known; (0, 0), (0,) without.
+    followed : the labels of all targets that the filter still follows, however doubtful, where
+        ``appearance`` is known.
     """
 
     state: F8
@@ -504,6 +512,9 @@ class Estimates:
     detection: I8
     tag: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     past: tuple[Estimates | None, ...] = ()
+    appearance: F4 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    appearance_count: F8 = field(default_factory=lambda: np.zeros(0))
+    followed: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def empty(cls, dim: int) -> Estimates:
@@ -543,6 +554,22 @@ class Estimates:
         )
 
 
+class Return(NamedTuple):
+    """An identity that was given back: of which label to which, with what odds, and when.
+
+    ``ended``, ``began``: frame and `Detections.row` of the last detection before, and of the first
+    one after.
+    """
+
+    earlier: int
+    later: int
+    identity: int
+    odds: float
+    time: float
+    ended: tuple[int, int]
+    began: tuple[int, int]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasurementHistory:
     """The measurements of F frames end to end, which corrected tracks are smoothed with.
@@ -556,6 +583,7 @@ class MeasurementHistory:
     warp : (F, 3, 3) the camera's motion since the frame before; (0, 3, 3) if it stood still.
     row, class_id, score : (Z,) of the detections that were measured, see `Detections`; without
         them all detections of a frame were measured, and class and score are 0.
+    embeddings : (Z, D) what each looks like, zeros where it is not known; (0, 0) without.
     """
 
     number: I8
@@ -566,6 +594,7 @@ class MeasurementHistory:
     row: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     class_id: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     score: F8 = field(default_factory=lambda: np.zeros(0))
+    embeddings: F4 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
     def __post_init__(self) -> None:
         count = self.z.shape[1]

@@ -60,6 +60,7 @@ from phdtrack.types import (
     Detections,
     Estimates,
     MeasurementHistory,
+    Return,
     Tracks,
 )
 
@@ -334,6 +335,10 @@ class GraphMatching(Checked):
     def measurements(self, state: GraphState) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
         return measurements(state.history)
+
+    def returns(self, state: GraphState) -> tuple[Return, ...]:
+        """None: identities are those of the matching."""
+        return ()
 
     def oldest(self, state: GraphState) -> int:
         """The number of the first frame that is remembered."""

@@ -13,7 +13,7 @@ from phdtrack.kernels.linking import Links, Window
 from phdtrack.models import warp as warp_of
 from phdtrack.models.rts import bridge
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory, Tracks, row_of
+from phdtrack.types import F4, F8, I8, STILL, Estimates, MeasurementHistory, Tracks, row_of
 
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 # Seconds of the filter's time that are remembered by default, so that memory stays bounded: some
@@ -64,6 +64,7 @@ class Moment:
     score: F8
     warp: F8 = field(default_factory=lambda: STILL)
     observed: bool = True
+    embeddings: F4 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
     @property
     def rows(self) -> I8:
@@ -243,7 +244,25 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
         np.concatenate([np.zeros(0, np.int64), *(m.row[index] for m, index in each)]),
         np.concatenate([np.zeros(0, np.int64), *(m.class_id[index] for m, index in each)]),
         np.concatenate([np.zeros(0), *(m.score[index] for m, index in each)]),
+        _embeddings([(m.embeddings, index) for m, index in each]),
     )
+
+
+def _embeddings(each: list[tuple[F4, I8]]) -> F4:
+    """(Z, D) the descriptors of all measurements, zeros where they are not known; (0, 0) where none
+    is.
+    """
+    sizes = [known.shape[1] for known, _ in each if len(known)]
+    if not sizes:
+        return np.zeros((0, 0), np.float32)
+    parts = list[F4]()
+    for known, index in each:
+        if not len(known) or known.shape[1] != sizes[-1]:
+            parts.append(np.zeros((len(index), sizes[-1]), np.float32))
+        else:
+            usable = np.isfinite(known).all(axis=1, keepdims=True)
+            parts.append(np.where(usable, known, 0.0)[index].astype(np.float32))
+    return np.concatenate(parts)
 
 
 def rows_of(

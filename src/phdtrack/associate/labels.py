@@ -38,11 +38,23 @@ from phdtrack.associate.history import (
     seen_until,
     unobserved_at_end,
 )
+from phdtrack.associate.reidentification import Returns, named, remembering, taken
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
+from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning
 from phdtrack.models.warp import warp_states
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Bool, Detections, Estimates, MeasurementHistory, Tracks
+from phdtrack.types import (
+    F4,
+    F8,
+    I8,
+    Bool,
+    Detections,
+    Estimates,
+    MeasurementHistory,
+    Return,
+    Tracks,
+)
 
 # Verdicts that ``max_coast`` counts for; the share of those found again from which a missing track
 # is shown; how many are remembered of each age.
@@ -54,6 +66,7 @@ PATIENCE = 0.8
 PATIENT_FRAMES = 20.0
 _NONE = np.zeros(0)
 _NO_BOX = np.zeros((0, 4))
+_NO_LOOKS: F4 = np.zeros((0, 0), np.float32)
 NO_TRACKS = Followed(np.zeros(0, np.int64), _NONE, _NONE, _NO_BOX, _NO_BOX, np.zeros((2, STEPS)))
 
 
@@ -125,6 +138,7 @@ class LabelledState:
     time, used : model time; the highest identity of online rows.
     followed : the tracks that may be missing, and how missing ones came back; none unless
         ``coast_by_evidence``.
+    returns : what targets looked like, and who came back.
     """
 
     history: History = field(default_factory=History)
@@ -133,6 +147,7 @@ class LabelledState:
     time: float = 0.0
     used: int = 0
     followed: Followed = NO_TRACKS
+    returns: Returns = field(default_factory=Returns)
 
     def __len__(self) -> int:
         return len(self.history) + len(self.recent)
@@ -215,6 +230,7 @@ class Labelled(Checked):
                 detections.confidence,
                 model.warp,
                 detections.observed,
+                _NO_LOOKS if detections.embeddings is None else detections.embeddings,
             ),
         )
         recent = [*observed, *timed]
@@ -235,8 +251,40 @@ class Labelled(Checked):
             followed = self._followed(state.followed, now, present, dt, model)
         else:
             followed = state.followed
-        extended = LabelledState(history, (*recent, now), table, now.time, state.used, followed)
+        extended = LabelledState(
+            history, (*recent, now), table, now.time, state.used, followed, state.returns
+        )
+        if model.appearance is not None:
+            extended, present = self._returned(extended, estimates, now, present, model.appearance)
         return self._emitted(extended, present, model)
+
+    def _returned(
+        self,
+        state: LabelledState,
+        estimates: Estimates,
+        now: Moment,
+        present: LabelTable,
+        looks: Looks,
+    ) -> tuple[LabelledState, LabelTable]:
+        """The state, and what is known at present, with the identities that are given back."""
+        returns = named(state.returns, present.label, present.identity)
+        sure = self._confirmed(present, present.places(estimates.tag))
+        when = now.number, looks.time
+        returns, pairs = remembering(returns, estimates, now.rows, when, looks, sure)
+        returns = taken(returns, pairs)
+        state = replace(state, returns=returns)
+        if not pairs:
+            return state, present
+        label = np.array([pair.later for pair in pairs])
+        known = np.array([pair.identity for pair in pairs])
+        tables = list[LabelTable]()
+        for table in (state.table, present):
+            identity = table.identity.copy()
+            # Should the filter report it again, it is another one.
+            identity[np.isin(table.label, [pair.earlier for pair in pairs])] = 0
+            identity[table.places(label)] = known
+            tables.append(table._replace(identity=identity))
+        return replace(state, table=tables[0]), tables[1]
 
     def _emitted(
         self, state: LabelledState, present: LabelTable, model: Model
@@ -277,6 +325,10 @@ class Labelled(Checked):
     def measurements(self, state: LabelledState) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
         return measurements(itertools.chain(state.history, state.recent))
+
+    def returns(self, state: LabelledState) -> tuple[Return, ...]:
+        """The identities that were given back."""
+        return state.returns.pairs
 
     def oldest(self, state: LabelledState) -> int:
         """The number of the first frame that is remembered."""
@@ -393,14 +445,16 @@ def _revise(recent: list[Moment], past: tuple[Estimates | None, ...]) -> tuple[i
 
 
 def _one_each(e: Estimates) -> Estimates:
-    """The states without their past; of those that share a label the heaviest."""
+    """The states without their past and looks; of those that share a label the heaviest."""
     if len(e.tag) != len(e):
         raise InputError(
             f"{len(e)} states bring no labels to identify them by",
             where="associate.kind=labelled",
             cure="Use associate.kind=graph, or a filter that labels targets",
         )
-    single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag) if e.past else e
+    single = e
+    if e.past or len(e.followed):
+        single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag)
     if (e.tag[1:] > e.tag[:-1]).all():
         return single
     heaviest = np.argsort(-e.weight, kind="stable")

@@ -21,7 +21,7 @@ from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import Checked, NonNegative, PositiveCount
 from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.protocols import Associator, Model
-from phdtrack.types import F8, I8, Bool, Detections, Estimates, MeasurementHistory, Tracks
+from phdtrack.types import F8, I8, Bool, Detections, Estimates, MeasurementHistory, Return, Tracks
 
 A = TypeVar("A")
 # Identities that are remembered online, besides those in view: cameras run for days.
@@ -93,6 +93,10 @@ class FalseTrackRejection(Checked, Generic[A]):
     def measurements(self, state: RejectionState[A]) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
         return self.associator.measurements(state.inner)
+
+    def returns(self, state: RejectionState[A]) -> tuple[Return, ...]:
+        """The identities that targets have taken again, oldest first."""
+        return self.associator.returns(state.inner)
 
     def oldest(self, state: RejectionState[A]) -> int:
         """The number of the first frame that is remembered."""

@@ -202,6 +202,11 @@ _LOOKS = (
     f" {DEFAULT_APPEARANCE}."
 )
 Appearance = Annotated[str, option("NAME", _LOOKS, autocompletion=listed(_LOOKS))]
+_RETURNS = (
+    "Seconds within which somebody who was lost and looks the same takes the old identity again; 0:"
+    " as long as the odds allow (default)."
+)
+ReidentifyWithin = Annotated[float | None, option("S", _RETURNS, min=0.0)]
 
 _FORMAT = f"Format of the file of boxes: {', '.join(FORMATS)}; of two files TRUTH,FILE."
 _BOX = "Left, top, then width, height or right, bottom; of two files TRUTH,FILE."
@@ -242,6 +247,7 @@ REQUESTS: dict[type[Any], dict[str, Any]] = {
         "classes": Classes,
         "max_detections": MaxDetections,
         "appearance": Appearance,
+        "reidentify_within": ReidentifyWithin,
     },
     OutputRequest: {
         "out": Out,

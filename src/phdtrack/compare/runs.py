@@ -458,7 +458,7 @@ def run_input(run: Run, kept: Path) -> RunInput:
         table, sentences = _read(case, notices)
         warnings = (*notices, *sentences)
         if case.appearance:
-            looks = np.load(folder / EMBEDDINGS).astype(np.float32)
+            looks = np.load(folder / EMBEDDINGS, allow_pickle=False).astype(np.float32)
             table = replace(table, detections=replace(table.detections, embeddings=looks))
             warnings = (*warnings, str(about["warning"]))
         names = table.names

@@ -90,6 +90,7 @@ def build(
         smoother,
         DetectionShare() if shares else None,
         None if fixed else settings.build("common_motion", frame_size=size),
+        settings.build("appearance"),
         time.longest_interval,
         time.births_before,
     )

@@ -68,7 +68,7 @@ with them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,11 +84,13 @@ from phdtrack.errors import (
 )
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
 from phdtrack.kernels import Records
+from phdtrack.kernels.appearance import Law, Looks, Pasts, remembered
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import (
     CERTAIN,
+    DOUBTFUL,
     HYPOTHESIS,
     TARGET,
     TINY,
@@ -127,6 +129,20 @@ MOST_DETECTION = 0.97
 SCORE_MEMORY = 15.0
 # The share of false alarms that are new in each frame, if no stream has shown it.
 ANEW = 0.2
+_NONE = np.zeros(0)
+NO_PASTS = Pasts(
+    np.zeros((0, 0), np.float32), _NONE, _NONE, _NONE, np.zeros((0, 0), np.float32), _NONE
+)
+NO_LOOKS = Looks(
+    np.zeros((0, 0), np.float32),
+    np.zeros((0, 0), np.float32),
+    np.zeros(0, np.float32),
+    np.zeros(0),
+    Law(0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.5, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0),
+    0.0,
+    1.0,
+)
+NOBODY: I8 = np.zeros((0, 2), np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,6 +161,7 @@ class Bernoullis:
     detections : how many detections of targets there were, of how many chances, and how many the
         sensor's p_D expected; old ones are forgotten.
     hidden : seconds whose births have been occluded ever since, where γ is a density.
+    pasts : what the hypotheses of the last layer have seen of their targets.
     """
 
     layers: tuple[Layer, ...]
@@ -154,6 +171,7 @@ class Bernoullis:
     frame: int = 0
     detections: tuple[float, float, float] = (0.0, 0.0, 0.0)
     hidden: float = 0.0
+    pasts: Pasts = NO_PASTS
 
     def __len__(self) -> int:
         """Number of hypotheses."""
@@ -266,7 +284,7 @@ class PMB(Checked, Filter[Bernoullis]):
         hypotheses["position_scale"] = 1.0
         hypotheses["size_scale"] = 1.0
         hypotheses["freedom"] = self.noise_freedom
-        hypotheses["detection"] = hypotheses["parent"] = -1
+        hypotheses["detection"] = hypotheses["parent"] = hypotheses["past"] = -1
         hypotheses["genuine"] = CERTAIN
         layer = Layer(
             targets,
@@ -307,6 +325,7 @@ class PMB(Checked, Filter[Bernoullis]):
             state.frame + 1,
             state.detections,
             state.hidden,
+            state.pasts,
         )
 
     @property
@@ -350,14 +369,27 @@ class PMB(Checked, Filter[Bernoullis]):
         settings = self._settings(gate, model, state.detections, scores.prior < CERTAIN)
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some
         # kernels.
-        layer, learned, gone, weak, counted = updated_layer(
+        now, pasts, looks = _with_pasts(now, state.pasts, model.appearance)
+        appearance = tuple(pasts), (*looks[:4], tuple(looks.law), *looks[5:])
+        layer, learned, gone, weak, counted, verdicts = updated_layer(
             *map(tuple, (now, ahead, seen, new, scores, settings)),
             state.next_label,
             tuple(self._jumps(now, model, dt)),
+            appearance,
         )
+        if len(looks.free):
+            pasts = remembered(layer.hypotheses, *appearance)
         predicted, born, mass, evidence, false_alarm, vanished, detected = learned
         info = UpdateInfo(
-            predicted, born, mass, evidence, clutter, false_alarm, vanished, detected=detected
+            predicted,
+            born,
+            mass,
+            evidence,
+            clutter,
+            false_alarm,
+            vanished,
+            detected=detected,
+            sure=_sure(now, verdicts),
         )
         next_label = state.next_label
         if len(layer.targets):
@@ -374,6 +406,7 @@ class PMB(Checked, Filter[Bernoullis]):
             state.frame,
             self._remembered(state.detections, counted),
             hidden,
+            pasts,
         )
         return after, info
 
@@ -564,7 +597,11 @@ class BestBernoullis(Checked):
                 break
             frames.append(self._estimates(then, now, model))
         unchanged = (None,) * (len(layers) - 1 - len(frames))
-        return self._estimates(layers[-1], present, model, (*unchanged, *reversed(frames)))
+        revised = (*unchanged, *reversed(frames))
+        estimates = self._estimates(layers[-1], present, model, revised)
+        if model.appearance is None or not len(state.pasts.time):
+            return estimates
+        return _with_looks(estimates, layers[-1], state.pasts)
 
     def _estimates(
         self, layer: Layer, trace: Records, model: Model, past: tuple[Estimates | None, ...] = ()
@@ -587,6 +624,45 @@ class BestBernoullis(Checked):
         return Estimates(
             mean, covariance, weight, boxes, layer.hypotheses["detection"][at], label, past
         )
+
+
+def _with_pasts(now: Layer, pasts: Pasts, looks: Looks | None) -> tuple[Layer, Pasts, Looks]:
+    """The targets, their pasts, and what a frame looks like: nothing where that is not known.
+
+    Where descriptors have another length than before, the pasts begin anew.
+    """
+    if looks is None:
+        return now, pasts, NO_LOOKS
+    if pasts.mean.shape[1] == looks.raw.shape[1]:
+        return now, pasts, looks
+    hypotheses = now.hypotheses.copy()
+    hypotheses["past"] = -1
+    none = np.zeros((0, looks.raw.shape[1]), np.float32)
+    nothing = NO_PASTS._replace(mean=none, last=none)
+    return now._replace(hypotheses=hypotheses), nothing, looks
+
+
+def _sure(layer: Layer, verdicts: I8) -> I8:
+    """`UpdateInfo.sure` by the ``verdicts`` (T,) on predicted targets; none if it is (0,)."""
+    if not len(verdicts):
+        return NOBODY
+    targets = layer.targets
+    known = (verdicts != DOUBTFUL) & (targets["presence"] >= 0.5)
+    return np.stack([targets["label"][known], verdicts[known]], axis=1)
+
+
+def _with_looks(estimates: Estimates, layer: Layer, pasts: Pasts) -> Estimates:
+    """The estimates with what the past of each looks like."""
+    label = layer.targets["label"]
+    best = layer.targets["best"][label.searchsorted(estimates.tag)]
+    past = layer.hypotheses["past"][best]
+    known = past >= 0
+    return replace(
+        estimates,
+        appearance=pasts.mean[np.where(known, past, 0)],
+        appearance_count=np.where(known, pasts.number[past], 0.0),
+        followed=label,
+    )
 
 
 def _best(layer: Layer) -> Records:

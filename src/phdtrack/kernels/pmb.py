@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F8, I8, Bool, Records
+from phdtrack.kernels.appearance import Looks, Pasts, named, pair_ratios
 from phdtrack.kernels.association import EDGE, beliefs
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
@@ -58,6 +59,11 @@ NEVER = 1e-15
 UNLIKELY = 0.003
 # Deleted targets whose probability to exist was never as large are not kept for the past.
 CONFIRMED = 0.05
+# Verdicts on a target's measurement: it has none, or there is doubt. The odds of a pair that leave
+# none.
+MISSED = -1
+DOUBTFUL = -2
+SURE = 99.0
 # How well the place of static clutter can be known, as a share of the variances by which the sensor
 # resolves states. Were it known better and better, a target that stands still would be explained by
 # it better and better.
@@ -73,10 +79,10 @@ TARGET = records("r presence max_presence", "label begin end best")
 # before, −1 where the target begins; whether it stands still, as static clutter does and some
 # targets. How many times the model's the variances of its noises are, of the first two components
 # of a measurement and of two others, and the degrees of freedom of that; which of the factors its
-# acceleration has.
+# acceleration has; which of the pasts of `kernels.appearance` is its own, −1 for none.
 HYPOTHESIS = records(
     "weight occluded genuine position_scale size_scale freedom",
-    "target detection parent static motion",
+    "target detection parent static motion past",
 )
 
 
@@ -241,8 +247,14 @@ def updated_layer(
     s: Settings,
     fresh: int,
     jumps: Jumps,
+    appearance: tuple[Pasts, Looks],
 ) -> tuple[
-    Layer, tuple[float, float, float, F8, F8, int, float], I8, F8, tuple[float, float, float]
+    Layer,
+    tuple[float, float, float, F8, F8, int, float],
+    I8,
+    F8,
+    tuple[float, float, float],
+    I8,
 ]:
     """The targets after the measurements, with new ones, and what was learned [W15].
 
@@ -253,13 +265,15 @@ def updated_layer(
     new : the targets whose first detections these would be, which are labelled from ``fresh`` on.
     s : settings of the filter.
     jumps : how velocities may be new.
+    appearance : what hypotheses have seen of their targets, and what the measurements look like.
 
     Returns
     -------
     The targets; of `types.UpdateInfo` the predicted, the newborn and the updated mass, C(z), the
     probabilities of false alarms, ``vanished`` and ``detected``; the best hypothesis of the frame
     before of each target that was once confirmed and has been deleted; (T,) the probabilities with
-    which deleted targets exist, 0 of others; and what `_detections` counts.
+    which deleted targets exist, 0 of others; what `_detections` counts; and what `write_verdicts`
+    says of the predicted targets.
     """
     layer = Layer(*layer)
     e = Expected(*e)
@@ -290,10 +304,12 @@ def updated_layer(
     # Associate
     exists = np.empty(count)
     measured = np.empty((3, len(m.z)))
+    ratio, verdicts = _compared(appearance, pairs, hypotheses, count)
     born, vanished, started = _associate(
         (targets, hypotheses, p_detect),
         genuine,
         pairs,
+        (ratio, verdicts),
         exists,
         m.clutter,
         new.density,
@@ -304,7 +320,6 @@ def updated_layer(
     counted = _detections(
         (targets, hypotheses, p_detect), genuine, visible, e.p_detect, pairs, exists
     )
-    evidence, false_alarm, r_new = measured
     predicted, detected = _expected(targets, hypotheses, p_detect)
     # Update each hypothesis with each of its measurements, and keep the most probable
     options = np.empty(len(hypotheses) + len(pairs), PAIR)
@@ -324,15 +339,29 @@ def updated_layer(
     )
     exists[kept > 0] = 0.0
     # Add the new targets
-    k, mass = _write_new(r_new, (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
-    learned = born + predicted, born, mass, evidence, false_alarm, vanished, detected
+    k, mass = _write_new(measured[2], (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
+    learned = born + predicted, born, mass, measured[0], measured[1], vanished, detected
     return (
         Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k]),
         learned,
         gone[:lost],
         exists,
         counted,
+        verdicts,
     )
+
+
+@njit(**INNER)
+def _compared(
+    appearance: tuple[Pasts, Looks], pairs: Records, hypotheses: Records, count: int
+) -> tuple[F8, I8]:
+    """The log-likelihood ratios of the pairs, and room for `write_verdicts` on ``count`` targets;
+    (0,) where it is not known what measurements look like.
+    """
+    pasts, looks = appearance
+    looks = named(looks)
+    ratio = pair_ratios(pairs, hypotheses, Pasts(*pasts), looks)
+    return ratio, np.empty(count if len(looks.mean) > 0 else 0, np.int64)
 
 
 @njit(**INNER)
@@ -432,6 +461,7 @@ def _associate(
     before: tuple[Records, Records, F8],
     genuine: F8,
     pairs: Records,
+    appearance: tuple[F8, I8],
     exists: F8,
     clutter: F8,
     density: F8,
@@ -443,10 +473,11 @@ def _associate(
     missed into ``exists`` (T,); compute the new targets [PMB (7)].
 
     ``before`` are the targets, their hypotheses and the p_D of these, ``genuine`` (C,) the
-    probabilities that these are no clutter; ``clutter`` and ``density`` (N,) are κ and λ̂. Writes
-    into ``measured`` (3, N) C(z), the probability of a false alarm, and
-    the probability that a new target exists. Returns the mass of new targets, how many measurements
-    have κ + C = 0, and how many begin a target.
+    probabilities that these are no clutter; ``clutter`` and ``density`` (N,) are κ and λ̂.
+    ``appearance``: the log-likelihood ratios (P,) of the pairs, (0,) for none, and (T,) for
+    `write_verdicts`, (0,) where none are wanted. Writes into ``measured`` (3, N) C(z), the
+    probability of a false alarm, and the probability that a new target exists. Returns the mass of
+    new targets, how many measurements have κ + C = 0, and how many begin a target.
     """
     evidence = measured[0]
     false_alarm = measured[1]
@@ -457,7 +488,7 @@ def _associate(
     for j in range(clutter.size):
         first[j] = density[j] * (1.0 + prior * (scores.odds[j] - 1.0))
         evidence[j] = clutter[j] + first[j]
-    p_new = _weigh(before, genuine, pairs, exists, scores.odds, evidence)
+    p_new = _weigh(before, genuine, pairs, appearance, exists, scores.odds, evidence)
     born = 0.0
     vanished = 0
     started = 0
@@ -488,6 +519,7 @@ def _weigh(
     before: tuple[Records, Records, F8],
     genuine: F8,
     pairs: Records,
+    appearance: tuple[F8, I8],
     missed: F8,
     odds: F8,
     evidence: F8,
@@ -499,7 +531,9 @@ def _weigh(
     p(s)/p(s|false alarm) is added; a lasting false alarm has the scores of false alarms.
     """
     targets, hypotheses, p_detect = before
+    ratio, verdicts = appearance
     edges = np.empty(pairs.size, EDGE)
+    by_motion = np.empty(pairs.size)
     place = np.full(evidence.size, -1)
     edge_of = np.empty(pairs.size, np.int64)
     alone = np.maximum(evidence, TINY)
@@ -518,27 +552,69 @@ def _weigh(
             joint = (
                 target.r * hypotheses[c].weight * p_detect[c] * np.exp(pair.log_density) * scored
             )
-            evidence[j] += joint
             if place[j] < begun:
                 place[j] = count
-                edge = edges[count]
-                edge.target = t
-                edge.measurement = j
-                edge.odds = 0.0
+                _write_edge(edges[count], t, j)
+                by_motion[count] = 0.0
                 count += 1
+            by_motion[place[j]] += joint / (miss * alone[j])
+            if len(ratio) > 0:
+                joint *= np.exp(ratio[q])
+            evidence[j] += joint
             pair.weight = joint / (miss * alone[j])
             edge_of[q] = place[j]
             edges[place[j]].odds += pair.weight
             q += 1
+    write_verdicts(edges[:count], by_motion, alone.size, verdicts)
     p_new: F8
     nothing, p_new = beliefs(edges[:count], targets.size, alone.size)
     for t in range(targets.size):
         missed[t] *= nothing[t]
+    _share(edges, edge_of, pairs)
+    return p_new
+
+
+@njit(**INNER)
+def _write_edge(edge: Any, target: int, measurement: int) -> None:
+    """Begin the edge of a target and a measurement."""
+    edge.target = target
+    edge.measurement = measurement
+    edge.odds = 0.0
+
+
+@njit(**INNER)
+def _share(edges: Records, edge_of: I8, pairs: Records) -> None:
+    """Share the probability of each edge among its pairs, by their odds."""
     for q in range(pairs.size):
         edge = edges[edge_of[q]]
         if edge.odds > 0.0:
             pairs[q].weight = edge.mu * pairs[q].weight / edge.odds
-    return p_new
+
+
+@njit(**INNER)
+def write_verdicts(edges: Records, odds: F8, measurements: int, verdicts: I8) -> None:
+    """Write the measurement of each target (T,) that motion alone leaves no doubt of; `MISSED`
+    where it has none without doubt, else `DOUBTFUL`.
+
+    ``odds`` (E,): those of the ``edges``, without appearance. The probability of a pair is at least
+    odds/((1 + odds of the others of the target)(1 + those of the others of the measurement)) as
+    odds of having it.
+    """
+    if verdicts.size == 0:
+        return
+    total = np.zeros(verdicts.size)
+    claimed = np.zeros(measurements)
+    for k in range(edges.size):
+        total[edges[k].target] += odds[k]
+        claimed[edges[k].measurement] += odds[k]
+    for t in range(verdicts.size):
+        verdicts[t] = MISSED if total[t] < 1.0 / SURE else DOUBTFUL
+    for k in range(edges.size):
+        t = edges[k].target
+        others = 1.0 + max(total[t] - odds[k], 0.0)
+        rivals = 1.0 + max(claimed[edges[k].measurement] - odds[k], 0.0)
+        if odds[k] >= SURE * others * rivals:
+            verdicts[t] = edges[k].measurement
 
 
 @njit(**INNER)
@@ -780,6 +856,7 @@ def _write_hypothesis(
     """
     h.static = before.static
     h.motion = before.motion
+    h.past = before.past
     h.parent = before.parent
     h.occluded = 0.0
     h.detection = option.measurement
@@ -884,6 +961,7 @@ def _write_new(
                 h.target = t
                 h.detection = j
                 h.parent = -1
+                h.past = -1
                 h.genuine = s.standing_genuine if static else after_score(scores.prior, scores, j)
                 copy_gaussian(new_mean, new_cov, j, mean, cov, k)
                 k += 1

@@ -29,6 +29,12 @@ def chosen_settings(
         settings = overlay(
             settings, {"limits": {"max_detections": tracking.max_detections}}, "--max-detections"
         )
+    if tracking.reidentify_within is not None:
+        settings = overlay(
+            settings,
+            {"appearance": {"reidentify_within": tracking.reidentify_within}},
+            "--reidentify-within",
+        )
     if tracking.threads is None:
         return settings
     # Filter and extraction, if they can use more than one.

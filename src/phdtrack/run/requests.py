@@ -129,6 +129,8 @@ class TrackingRequest:
     max_detections : detections per frame; None for the settings' value.
     appearance : ``colours``, ``onnx:FILE``, a ``.npy`` file with a row for each detection, or
         ``none``; empty for what a run has kept beside the detections, or the default.
+    reidentify_within : seconds within which a target takes its identity again; 0 for as long as the
+        odds allow, None for the settings' value.
     """
 
     filter_name: str = ""
@@ -142,6 +144,7 @@ class TrackingRequest:
     classes: str = ""
     max_detections: int | None = None
     appearance: str = ""
+    reidentify_within: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

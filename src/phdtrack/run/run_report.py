@@ -19,6 +19,7 @@ from phdtrack.run.directory import RunDirectory
 from phdtrack.run.running import Progress, Run
 from phdtrack.run.scene_pass import SceneLesson
 from phdtrack.run.scoring import RunScores
+from phdtrack.tracker import Tracker
 from phdtrack.types import Tracks
 
 if TYPE_CHECKING:
@@ -97,11 +98,7 @@ def write_report(
         write_text(run.directory.file(rundir.REPORT), page)
     complete = progress.ended is None
     document = run_document(record, configuration) | {"complete": complete} | inputs
-    document["boxes_left_out"] = progress.tracker.left_out._asdict()
-    if progress.resumed:
-        document["resumed_from_frame"] = progress.resumed
-    if progress.reused:
-        document["detections_reused"] = progress.reused
+    document |= _told(run, progress)
     with progress.writing():
         more = [report.document for report in reports]
         document = finish_document(document, run.directory, *more)
@@ -115,6 +112,33 @@ def write_report(
         summary.append(f"Settings: preset {run.options.configuration['preset']}.")
     unwritten = [str(error) for error in progress.unwritten if error is not progress.ended]
     return document, tuple(summary), (*about.warnings, *unwritten)
+
+
+def _told(run: Run, progress: Progress) -> dict[str, object]:
+    """Events of the run, for run.json."""
+    told: dict[str, object] = {"boxes_left_out": progress.tracker.left_out._asdict()}
+    if run.inputs.descriptors.name:
+        told["identities_given_back"] = _given_back(progress.tracker)
+    if progress.resumed:
+        told["resumed_from_frame"] = progress.resumed
+    if progress.reused:
+        told["detections_reused"] = progress.reused
+    return told
+
+
+def _given_back(tracker: Tracker) -> list[dict[str, object]]:
+    """Identities that online rows took again: the last frame in which the target was detected
+    before, the first one in which it is confirmed after, and the odds for one target against two.
+    """
+    return [
+        {
+            "identity": each.identity,
+            "last_frame": each.ended[0],
+            "frame": each.began[0],
+            "odds": round(each.odds, 2),
+        }
+        for each in tracker.returns
+    ]
 
 
 def finish_document(

@@ -7,11 +7,12 @@ frame (`models.rts`).
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
+from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.rts import filtered, smooth
 from phdtrack.models.rts import Ahead, moved
 from phdtrack.protocols import Model, Motion
@@ -66,6 +67,7 @@ class Sequence:
     observed : the components of a state that a measurement shows.
     motion : the motion model.
     rate : its time units per second.
+    looks : what similarity says, None where no descriptors are known.
     """
 
     measurements: MeasurementHistory
@@ -74,13 +76,19 @@ class Sequence:
     observed: I8
     motion: Motion
     rate: float
+    looks: Looks | None = None
+    boxes: F8 = field(default_factory=lambda: np.zeros((0, 4)))
 
     @classmethod
     def of(cls, measurements: MeasurementHistory, model: Model) -> Sequence:
         """The sequence of these measurements."""
         state, covariance = model.sensor.states(measurements.z)
         observed = np.array(model.sensor.observed, np.int64)
-        return cls(measurements, state, covariance, observed, model.motion, model.rate)
+        boxes = model.sensor.boxes(state)
+        looks = model.appearance if len(measurements.embeddings) else None
+        return cls(
+            measurements, state, covariance, observed, model.motion, model.rate, looks, boxes
+        )
 
     def step(self, place: int) -> tuple[float, F8]:
         """The interval before a frame, and the camera's motion in it."""

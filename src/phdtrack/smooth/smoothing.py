@@ -12,11 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
+from phdtrack.models.track_returns import with_returns
 from phdtrack.protocols import Model
 from phdtrack.smooth.ends import continued
+from phdtrack.smooth.parting import parted
 from phdtrack.smooth.paths import Paths, paths_of
 from phdtrack.smooth.sequence import Sequence, Smoothed
-from phdtrack.smooth.stitching import Stitching, stitched
+from phdtrack.smooth.stitching import Stitching, returns, stitched
 from phdtrack.types import I8, Bool, MeasurementHistory, Tracks
 
 # A side is cut by the border of the picture if it is this near, in widths or heights of the box.
@@ -86,6 +88,10 @@ class Smoothing:
         """The tracks whose ``paths`` are stitched, smoothed and extended."""
         sequence = Sequence.of(measurements, model)
         if self.stitching:
+            pieces = parted(tracks, paths, sequence)
+            if pieces is not tracks:
+                tracks = pieces
+                paths = paths_of(tracks, measurements)
             settings = Stitching(
                 self.mean_occluded_time * model.rate,
                 self.max_gap * model.rate,
@@ -98,11 +104,13 @@ class Smoothing:
         if self.noise_by_track:
             states = sequence.smooth(paths, sequence.fitting(paths))
         out = _rows(tracks, paths, states, measurements, model, self)
-        if self.max_continuation == 0:
-            return out
-        boxes = model.sensor.boxes(sequence.state)
-        limit = self.max_continuation * model.rate
-        return _numbered(continued(out, measurements, boxes, self.frame_size, limit))
+        if self.max_continuation > 0:
+            boxes = model.sensor.boxes(sequence.state)
+            limit = self.max_continuation * model.rate
+            out = _numbered(continued(out, measurements, boxes, self.frame_size, limit))
+        if self.stitching:
+            return with_returns(out, returns(paths, sequence))
+        return out
 
 
 def _moving(tracks: Tracks, extent: float, size: tuple[float, float]) -> Tracks:

@@ -28,15 +28,21 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from phdtrack.kernels.appearance import Looks, free_parts, likeness_of_pairs
 from phdtrack.kernels.association import best_pairs
+from phdtrack.models.returns import log_odds
 from phdtrack.models.rts import predict
 from phdtrack.smooth.paths import Paths, joined
 from phdtrack.smooth.sequence import Sequence, Smoothed
-from phdtrack.types import F8, I8
+from phdtrack.types import F4, F8, I8, MeasurementHistory
+
+# Tracks whose beginnings are compared with all ends at a time.
+_BLOCK = 256
 
 
 class Stitching(NamedTuple):
@@ -127,14 +133,159 @@ def candidates(
     before = list[I8]()
     after = list[I8]()
     log_odds = list[F8]()
+    ends = _ends(paths, sequence)
     overlaps = _overlaps(paths, states, sequence, settings)
     # Lazily, because the states of all pairs would take much memory.
     for pairs in itertools.chain([overlaps], _returns(paths, states, sequence, settings)):
         evidence = _log_evidence(paths, states, sequence, pairs)
         before.append(pairs.before)
         after.append(pairs.after)
+        if ends is not None:
+            evidence = evidence + ends.likeness(pairs.before, pairs.after)
         log_odds.append(evidence + (pairs.odds - new_target))
     return np.concatenate(before), np.concatenate(after), np.concatenate(log_odds)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ends:
+    """The looks of paths at their ends.
+
+    ``mean`` (2K, D), ``count`` (2K,): of the last seconds of each, then of the first ones, and how
+    many independent descriptors these are of.
+    """
+
+    mean: F4
+    count: F8
+    looks: Looks
+
+    def likeness(self, before: I8, after: I8) -> F8:
+        """(P,) log p(s | one object)/p(s | two) of ends of paths and beginnings of others."""
+        return self.of(before, len(self.count) // 2 + after)
+
+    def of(self, before: I8, after: I8) -> F8:
+        """The same of any two means."""
+        looks = self.looks
+        plain = (*looks[:4], tuple(looks.law), *looks[5:])
+        out: F8 = likeness_of_pairs(self.mean, self.count, before, after, plain)
+        return out
+
+
+def _ends(paths: Paths, sequence: Sequence) -> _Ends | None:
+    """The looks of paths at their ends; None where these are not known."""
+    looks = sequence.looks
+    measurements = sequence.measurements
+    if looks is None or measurements.embeddings.shape[1] != looks.raw.shape[1]:
+        return None
+    seen = np.flatnonzero(paths.measurement >= 0)
+    column = paths.measurement[seen]
+    raw = measurements.embeddings[column]
+    length = np.sqrt(np.einsum("nd,nd->n", raw, raw))
+    time = measurements.time[paths.frame[seen]] / sequence.rate
+    path = paths.path[seen]
+    count = np.zeros(2 * len(paths))
+    mean = np.zeros((2 * len(paths), raw.shape[1]), np.float32)
+    boxes = free_boxes(sequence)[column] * (length > 0)
+    unit = raw / np.maximum(length, 1e-9)[:, None].astype(np.float32)
+    first = measurements.time[paths.frame[paths.first]] / sequence.rate
+    last = measurements.time[paths.frame[paths.last]] / sequence.rate
+    for place, apart in enumerate((last[path] - time, time - first[path])):
+        weight = boxes * (apart <= looks.memory)
+        at = path + place * len(paths)
+        np.add.at(mean, at, unit * weight[:, None].astype(np.float32))
+        np.add.at(count, at, weight)
+    mean /= np.maximum(count, 1e-9)[:, None].astype(np.float32)
+    return _Ends(mean, _independent(count, sequence), looks)
+
+
+def _independent(count: F8, sequence: Sequence) -> F8:
+    """How many independent descriptors so many of neighbouring frames are worth."""
+    assert sequence.looks is not None
+    steps = np.diff(sequence.measurements.time)
+    interval = float(np.median(steps)) / sequence.rate if len(steps) else 0.0
+    kept = math.exp(-interval / sequence.looks.law.independent)
+    return np.maximum(count * (1 - kept) / (1 + kept), np.minimum(count, 1.0))
+
+
+def likeness_of_means(
+    mean: F4, count: F8, before: I8, after: I8, sequence: Sequence
+) -> tuple[F8, F8]:
+    """(P,) the log-likelihood ratios that two means are of one object, and (M,) how many
+    independent descriptors each mean is worth.
+
+    Parameters
+    ----------
+    mean, count : (M, D), (M,) means of so many descriptors.
+    before, after : (P,) which means are compared.
+    sequence : of the descriptors.
+    """
+    independent = _independent(count, sequence)
+    assert sequence.looks is not None
+    return _Ends(mean, independent, sequence.looks).of(before, after), independent
+
+
+def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Pairs of paths of one target that came back, by the frame and `Detections.row` of the last
+    detection before and of the first one after (`models.returns`); none where it is not known what
+    they look like.
+    """
+    ends = _ends(paths, sequence)
+    if ends is None or len(paths) < 2:
+        return []
+    measurements = sequence.measurements
+    time = measurements.time / sequence.rate
+    first = paths.measurement[paths.first]
+    last = paths.measurement[paths.last]
+    begin = time[paths.frame[paths.first]]
+    end = time[paths.frame[paths.last]]
+    boxes = sequence.boxes
+    extent = boxes[paths.measurement[paths.measurement >= 0]]
+    size = extent[:, 2:].max(axis=0) - extent[:, :2].min(axis=0)
+    area = max(float(size.prod()), 1.0)
+    births = len(paths) / max(float(time[-1] - time[0]), 1.0)
+    # What looks like nothing in particular is left to the motion.
+    law = ends.looks.law
+    ended = (ends.count[: len(paths)] > 0) & (law.means_weight > 0)
+    good = list[tuple[I8, I8, F8]]()
+    began = np.flatnonzero(ends.count[len(paths) :] > 0)
+    # In blocks, as all pairs of thousands of tracks would take much memory.
+    for block in (began[k : k + _BLOCK] for k in range(0, len(began), _BLOCK)):
+        gap = begin[block] - end[:, None]
+        before, column = np.nonzero(ended[:, None] & (gap > 0) & (gap <= law.within))
+        after = block[column]
+        gaps = gap[before, column]
+        odds = log_odds(gaps, boxes[last[before]], boxes[first[after]], births, area)
+        odds += ends.likeness(before, after)
+        kept = odds > 0
+        good.append((before[kept], after[kept], odds[kept]))
+    if not good:
+        return []
+    successor = best_successors(
+        np.concatenate([each[0] for each in good]),
+        np.concatenate([each[1] for each in good]),
+        np.concatenate([each[2] for each in good]),
+        len(paths),
+    )
+    return [
+        (_name(measurements, last[k]), _name(measurements, first[successor[k]]))
+        for k in np.flatnonzero(successor >= 0).tolist()
+    ]
+
+
+def _name(measurements: MeasurementHistory, column: int) -> tuple[int, int]:
+    """The frame and the row of a measurement."""
+    frame = int(np.searchsorted(measurements.start, column, side="right")) - 1
+    return int(measurements.number[frame]), int(measurements.row[column])
+
+
+def free_boxes(sequence: Sequence) -> F8:
+    """(Z,) the part of each measurement's box that no other of its frame covers."""
+    measurements = sequence.measurements
+    boxes = sequence.boxes
+    parts = [
+        free_parts(np.ascontiguousarray(boxes[begin:end]))
+        for begin, end in zip(measurements.start[:-1], measurements.start[1:], strict=True)
+    ]
+    return np.concatenate([np.zeros(0), *parts])
 
 
 def _returns(

@@ -1,0 +1,397 @@
+"""Likelihood ratios of what boxes look like, in the update of a filter (docs/methods.md,
+Appearance).
+
+A detection j has a direction e_j, its descriptor less the stream's mean, of length one. A past h is
+the mean of the descriptors of the detections that one hypothesis has had, old ones forgotten, and
+when it last had one. With s = m_h · e_j, m_h the direction of the past, and Δ the time since, the
+pair of a hypothesis and a measurement has the ratio
+
+    log p(s | the same object, Δ)/p(s | another object)
+
+by two Gaussians, of which that of the same object falls with log Δ [APP (1)], [APP (2)].
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from phdtrack.kernels import F4, F8, I8, Records
+from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import ENTRY, FAST, INLINED, INNER
+
+# The probability that an object begins to look like any other, because of what stands before it, or
+# in another light. So no picture alone says that an object is another one.
+CHANCE = 0.05
+# Seconds for which an object looks odd, on average.
+ODD_TIME = 1.0
+# A box of which less is free shows nothing of its object.
+LEAST_FREE = 0.5
+# The largest log-likelihood ratio of a pair.
+MOST = 6.0
+# Seconds within which an object looks the same.
+SOON = 0.1
+# A descriptor that is nearer to the mean than this says nothing. Descriptors have length one.
+LEAST_LENGTH = 1e-3
+
+
+class Law(NamedTuple):
+    """The meaning of similarity.
+
+    ``weight``, from 0 to 1: how much it is worth as yet. ``same``, ``fading``,
+    ``same_deviation``: the similarity of a detection to the past of the same object has the mean
+    ``same`` + ``fading`` log(Δ/0.1 s) and this deviation. ``other``, ``other_deviation``: that to
+    the past of another object. ``independent``: seconds for which errors of descriptors last.
+    ``signal``: the part of a single descriptor's variance that is the object's own.
+    ``near_deviation``: of the similarity of descriptors of neighbouring frames.
+
+    ``means_weight``, ``means_same``, ``means_deviation``, ``means_other``,
+    ``means_other_deviation``: the same of the similarity of two means of many detections.
+    ``within``: seconds after which no target takes its identity again.
+    """
+
+    weight: float
+    same: float
+    fading: float
+    same_deviation: float
+    other: float
+    other_deviation: float
+    independent: float
+    signal: float
+    near_deviation: float
+    means_weight: float
+    means_same: float
+    means_deviation: float
+    means_other: float
+    means_other_deviation: float
+    within: float
+
+
+class Looks(NamedTuple):
+    """The looks of the detections of a frame.
+
+    ``raw`` (N, D): descriptors of length one; zeros where nothing is known. ``seen`` (N, D): the
+    same less ``mean`` (D,), of length one again. ``free`` (N,): the part of each box that no other
+    one covers. ``law``: what similarity says. ``time``: seconds. ``memory``: seconds after which
+    what was seen counts for 37 %.
+    """
+
+    raw: F4
+    seen: F4
+    mean: F4
+    free: F8
+    law: Law
+    time: float
+    memory: float
+
+
+class Pasts(NamedTuple):
+    """The knowledge of hypotheses of what their targets look like.
+
+    ``mean`` (M, D): of the descriptors, old ones forgotten. ``weight``, ``time`` (M,): what all of
+    them count for, and seconds at the last. ``number`` (M,): of how many independent ones that is
+    the mean. ``last`` (M, D): the last of them. ``odd`` (M,): the probability that the target then
+    looked odd.
+    """
+
+    mean: F4
+    weight: F8
+    time: F8
+    number: F8
+    last: F4
+    odd: F8
+
+
+@njit(**INLINED)
+def named(looks: Looks) -> Looks:
+    """`Looks` of plain tuples, which is what kernels are called with."""
+    raw, seen, mean, free, law, time, memory = looks
+    return Looks(raw, seen, mean, free, Law(*law), time, memory)
+
+
+@njit(**INLINED)
+def _gain(
+    similarity: float, same: float, deviation: float, other: float, other_deviation: float
+) -> float:
+    """log p(s | the same object)/p(s | another object) by two Gaussians [APP (1)].
+
+    It never falls with s: where the wider Gaussian has the tail, the ratio stays what it is at its
+    extreme.
+    """
+    if same < other:
+        return 0.0
+    narrow = 1.0 / (deviation * deviation)
+    wide = 1.0 / (other_deviation * other_deviation)
+    s = similarity
+    if narrow != wide:
+        turn = (same * narrow - other * wide) / (narrow - wide)
+        if narrow > wide:
+            s = s if s < turn else turn
+        else:
+            s = s if s > turn else turn
+    gain = 0.5 * ((s - other) * (s - other) * wide - (s - same) * (s - same) * narrow)
+    gain += math.log(other_deviation / deviation)
+    return gain if gain < MOST else MOST
+
+
+@njit(**INLINED)
+def _likelihoods(
+    s_mean: float, s_last: float, seconds: float, count: float, odd: float, law: Law
+) -> tuple[float, float]:
+    """p(s | the same object)/p(s | another object), ``seconds`` after it was last seen, and the
+    probability that it then looks odd [APP (2)].
+
+    ``s_mean``, ``s_last``: similarity to the mean of ``count`` independent descriptors, and to the
+    last one. ``odd``: the probability that it looked odd then.
+    """
+    fresh = math.log(seconds / SOON) if seconds > SOON else 0.0
+    # Of the mean of few detections, which has errors of its own
+    same = law.same + law.fading * fresh
+    same /= math.sqrt(1.0 + (1.0 - law.signal) / (law.signal * count))
+    usual = math.exp(_gain(s_mean, same, law.same_deviation, law.other, law.other_deviation))
+    kept = math.exp(-seconds / law.independent)
+    last = law.signal + (1.0 - law.signal) * kept
+    deviation = law.same_deviation + (law.near_deviation - law.same_deviation) * kept
+    again = (1.0 - CHANCE) * math.exp(
+        _gain(s_last, last, deviation, law.other, law.other_deviation)
+    ) + CHANCE
+    stays = odd * math.exp(-seconds / ODD_TIME)
+    begins = (1.0 - odd) * CHANCE
+    strange = stays * again + begins
+    total = strange + (1.0 - stays - begins) * usual
+    return total, strange / total
+
+
+@njit(fastmath=FAST, **INNER)
+def similarity_of(a: F4, i: int, b: F4, j: int) -> float:
+    """The product of row i of ``a`` and row j of ``b``."""
+    total = np.float32(0.0)
+    for k in range(len(a[i])):
+        total += a[i, k] * b[j, k]
+    return float(total)
+
+
+@njit(**INNER)
+def directions(looks: F4, mean: F4) -> F4:
+    """(M, D) the descriptors less ``mean``, of length one; zeros where they are nearly the same."""
+    out = np.empty(looks.shape, np.float32)
+    size = len(mean)
+    for i in range(len(out)):
+        total = np.float32(0.0)
+        for k in range(size):
+            out[i, k] = looks[i, k] - mean[k]
+            total += out[i, k] * out[i, k]
+        length = math.sqrt(total)
+        scale = np.float32(1.0 / length) if length > LEAST_LENGTH else np.float32(0.0)
+        for k in range(size):
+            out[i, k] *= scale
+    return out
+
+
+@njit(**INNER)
+def pair_ratios(pairs: Records, hypotheses: Records, pasts: Pasts, looks: Looks) -> F8:
+    """(P,) the log-likelihood ratios of pairs of a hypothesis and a measurement [APP (2)]; (0,)
+    where nothing is known.
+    """
+    if looks.law.weight <= 0.0 or len(pasts.time) == 0:
+        return np.empty(0)
+    out = np.empty(pairs.size)
+    direction = directions(pasts.mean, looks.mean)
+    last = directions(pasts.last, looks.mean)
+    for q in range(pairs.size):
+        past = hypotheses[pairs[q].gaussian].past
+        j = pairs[q].measurement
+        out[q] = 0.0
+        if past >= 0 and looks.free[j] > 0.0:
+            ratio, _ = _of_pair(direction, last, pasts, past, looks, j)
+            out[q] = looks.law.weight * looks.free[j] * math.log(ratio)
+    return out
+
+
+@njit(**INNER)
+def _of_pair(
+    direction: F4, last: F4, pasts: Pasts, past: int, looks: Looks, j: int
+) -> tuple[float, float]:
+    """`_likelihoods` of a past and detection j."""
+    s_mean = similarity_of(direction, past, looks.seen, j)
+    s_last = similarity_of(last, past, looks.seen, j)
+    seconds = looks.time - pasts.time[past]
+    ratio, odd = _likelihoods(
+        s_mean, s_last, seconds, pasts.number[past], pasts.odd[past], looks.law
+    )
+    return ratio, odd
+
+
+@njit(**ENTRY)
+def likeness(mean: F4, count: F8, other: F4, other_count: F8, seconds: F8, looks: Looks) -> F8:
+    """(n, m) log p(s̄ | the same object)/p(s̄ | another object) of new pasts (n,) and old ones
+    (m,), ``seconds`` (n, m) after these were last seen [APP (5)].
+
+    s̄ is the mean similarity of the descriptors of a new past to the mean of an old one.
+    """
+    looks = named(looks)
+    law = looks.law
+    a = directions(mean, looks.mean)
+    b = directions(other, looks.mean)
+    out = np.empty(seconds.shape)
+    for i in range(len(a)):
+        errors = (1.0 - law.signal) / law.signal
+        for k in range(len(b)):
+            s = similarity_of(a, i, b, k)
+            same = law.means_same
+            same /= math.sqrt((1.0 + errors / count[i]) * (1.0 + errors / other_count[k]))
+            gain = math.exp(
+                _gain(s, same, law.means_deviation, law.means_other, law.means_other_deviation)
+            )
+            out[i, k] = law.means_weight * math.log((1.0 - CHANCE) * gain + CHANCE)
+    return out
+
+
+@njit(**ENTRY)
+def likeness_of_pairs(mean: F4, count: F8, before: I8, after: I8, looks: Looks) -> F8:
+    """(P,) `likeness` of the pasts ``before`` and ``after`` (P,), of which ``mean`` and ``count``
+    are known; 0 where one of them is not.
+    """
+    looks = named(looks)
+    law = looks.law
+    direction = directions(mean, looks.mean)
+    errors = (1.0 - law.signal) / law.signal
+    out = np.zeros(before.size)
+    for q in range(before.size):
+        a = before[q]
+        b = after[q]
+        if count[a] > 0.0 and count[b] > 0.0 and law.means_weight > 0.0:
+            s = similarity_of(direction, a, direction, b)
+            same = law.means_same
+            same /= math.sqrt((1.0 + errors / count[a]) * (1.0 + errors / count[b]))
+            gain = math.exp(
+                _gain(s, same, law.means_deviation, law.means_other, law.means_other_deviation)
+            )
+            out[q] = law.means_weight * math.log((1.0 - CHANCE) * gain + CHANCE)
+    return out
+
+
+@njit(**ENTRY)
+def free_parts(boxes: F8) -> F8:
+    """(N,) how much of each box (N, 4) is free: 1 where no other covers any of it, 0 where the one
+    that covers most leaves no more than `LEAST_FREE`.
+    """
+    n = len(boxes)
+    free = np.ones(n)
+    for i in range(n):
+        area = (boxes[i, 2] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 1])
+        for j in range(n):
+            width = min(boxes[i, 2], boxes[j, 2]) - max(boxes[i, 0], boxes[j, 0])
+            height = min(boxes[i, 3], boxes[j, 3]) - max(boxes[i, 1], boxes[j, 1])
+            if i != j and width > 0.0 and height > 0.0 and area > 0.0:
+                free[i] = min(free[i], max(1.0 - width * height / area, 0.0))
+        free[i] = max((free[i] - LEAST_FREE) / (1.0 - LEAST_FREE), 0.0)
+    return free
+
+
+@njit(**ENTRY)
+def remembered(hypotheses: Records, pasts: Pasts, looks: Looks) -> Pasts:
+    """The pasts after a frame. Takes ``hypotheses.past`` for that of the hypothesis which each
+    comes from, and writes its own there.
+
+    Hypotheses of one target that come from the same past with the same measurement share one.
+    """
+    pasts = Pasts(*pasts)
+    looks = named(looks)
+    count = hypotheses.size
+    size = len(looks.mean)
+    out = Pasts(
+        np.empty((count, size), np.float32),
+        np.empty(count),
+        np.empty(count),
+        np.empty(count),
+        np.empty((count, size), np.float32),
+        np.empty(count),
+    )
+    direction = directions(pasts.mean, looks.mean)
+    last = directions(pasts.last, looks.mean)
+    # Of each past that is written: the past before, and the measurement.
+    source = np.empty((count, 2), np.int64)
+    n = 0 * count
+    first = 0 * count
+    target = -1
+    for c in range(count):
+        h = hypotheses[c]
+        if h.target != target:
+            target = h.target
+            first = n
+        past = h.past
+        j = h.detection
+        if j >= 0 and not looks.free[j] > 0.0:
+            j = -1
+        h.past = -1
+        for k in range(first, n):
+            if source[k, 0] == past and source[k, 1] == j:
+                h.past = k
+        if h.past >= 0 or (past < 0 and j < 0):
+            continue
+        source[n, 0] = past
+        source[n, 1] = j
+        if j < 0:
+            _write_kept(pasts, past, out, n)
+        else:
+            _write_seen(pasts, past, looks, j, (direction, last), out, n)
+        h.past = n
+        n += 1
+    return Pasts(
+        out.mean[:n].copy(),
+        out.weight[:n].copy(),
+        out.time[:n].copy(),
+        out.number[:n].copy(),
+        out.last[:n].copy(),
+        out.odd[:n].copy(),
+    )
+
+
+@njit(**INNER)
+def _write_kept(pasts: Pasts, past: int, out: Pasts, n: int) -> None:
+    """Write a past of which nothing new was seen to place n of ``out``."""
+    out.mean[n] = pasts.mean[past]
+    out.weight[n] = pasts.weight[past]
+    out.time[n] = pasts.time[past]
+    out.number[n] = pasts.number[past]
+    out.last[n] = pasts.last[past]
+    out.odd[n] = pasts.odd[past]
+
+
+@njit(**INNER)
+def _write_seen(
+    pasts: Pasts,
+    past: int,
+    looks: Looks,
+    j: int,
+    directions_before: tuple[F4, F4],
+    out: Pasts,
+    n: int,
+) -> None:
+    """Write a past with detection j to place n of ``out``; ``past`` −1 for its first one.
+
+    ``directions_before``: those of the means and of the last descriptors of the pasts.
+    """
+    old = 0.0
+    out.number[n] = 1.0
+    out.odd[n] = 0.0
+    out.last[n] = looks.raw[j]
+    if past >= 0:
+        seconds = looks.time - pasts.time[past]
+        kept = math.exp(-seconds / looks.memory)
+        old = pasts.weight[past] * kept
+        rho = math.exp(-seconds / looks.law.independent)
+        new = looks.free[j] * (1.0 - rho) / (1.0 + rho)
+        out.number[n] = max(pasts.number[past] * kept + new, 1.0)
+        direction, last = directions_before
+        _, after = _of_pair(direction, last, pasts, past, looks, j)
+        out.odd[n] = pasts.odd[past] + looks.free[j] * (after - pasts.odd[past])
+    out.weight[n] = old + looks.free[j]
+    out.time[n] = looks.time
+    share = np.float32(looks.free[j] / out.weight[n])
+    for k in range(len(looks.mean)):
+        before = pasts.mean[past, k] if past >= 0 else np.float32(0.0)
+        out.mean[n, k] = before + share * (looks.raw[j, k] - before)

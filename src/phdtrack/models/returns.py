@@ -1,0 +1,46 @@
+"""The odds that a new target is one that was lost before [APP (5)].
+
+A target that ends comes back with the probability p_R, after a time with the mean τ, near where it
+was lost, by a Gaussian that widens with the time Δ, or anywhere. Its odds against a new target are
+
+    p_R/τ exp(−Δ/τ) · p(place | Δ) / (births per second and unit of area) · exp ℓ
+
+with ℓ the log-likelihood ratio of what both look like.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from phdtrack.types import F8
+
+# The probability that a target that ends comes back, and the mean seconds until then.
+RETURN = 0.5
+RETURN_TIME = 30.0
+# The part of those that come back that do so near where they were lost, and how fast what is known
+# of their place fades, in heights of the box a second.
+NEARBY = 0.5
+DRIFT = 1.0
+
+
+def log_odds(gap: F8, lost: F8, new: F8, births: float, area: float) -> F8:
+    """(P,) the logarithm of these odds without ℓ; −∞ where the new target was there before.
+
+    Parameters
+    ----------
+    gap : (P,) seconds from the last detection of the lost target to the first of the new one.
+    lost, new : (P, 4) the boxes of both.
+    births : new targets a second.
+    area : pixels² in which targets appear.
+    """
+    height = lost[:, 3] - lost[:, 1]
+    step = (new[:, :2] + new[:, 2:] - lost[:, :2] - lost[:, 2:]) / 2
+    apart = np.maximum(gap, 0.0)
+    variance = (height * (0.5 + DRIFT * apart)) ** 2
+    near = np.exp(-0.5 * (step**2).sum(axis=1) / variance) / (2 * math.pi * variance)
+    place = NEARBY * near * area + 1 - NEARBY
+    back = RETURN / RETURN_TIME * np.exp(-apart / RETURN_TIME) * place / births
+    out: F8 = np.where(gap > 0, np.log(np.maximum(back, 1e-300)), -np.inf)
+    return out
