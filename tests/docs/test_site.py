@@ -29,7 +29,7 @@ def test_methods_show_implemented_equations():
         for place in re.findall(r"^\|([^|]+)\|", rows, re.MULTILINE)
     }
     shown = re.findall(
-        r"\[([A-Z]\d\d|PMB)(?: ([^\]]+))?\]", (DOCS / "methods.md").read_text(encoding="utf-8")
+        r"\[([A-Z]\d\d|PMB|APP)(?: ([^\]]+))?\]", (DOCS / "methods.md").read_text(encoding="utf-8")
     )
     assert len(shown) > 30
     assert [tag for tag in shown if (tag[0], " ".join(tag[1].split()) or "–") not in listed] == []

@@ -1,0 +1,66 @@
+"""People whose boxes have descriptors, for the tests of appearance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from phdtrack import Tracker
+from phdtrack.types import F4, F8, Detections, Tracks
+
+SIZE = (1280, 720)
+FPS = 10.0
+D = 16
+
+
+def prototypes(count: int, seed: int = 0) -> F8:
+    """(count, D) what people look like: with a part that all share, as networks give it."""
+    own = np.linalg.qr(np.random.default_rng(seed).normal(0, 1, (D, D)))[0][:count]
+    return own + 0.5 / np.sqrt(D)
+
+
+def look_of(prototype: F8, seed: int, noise: float = 0.15) -> F4:
+    """One noisy view."""
+    rng = np.random.default_rng(seed)
+    return np.asarray(prototype + rng.normal(0, noise, D), np.float32)
+
+
+def pacing(person: int, k: int) -> F8:
+    """(4,) the box of a person who walks to and fro in a lane of their own, at frame k."""
+    swing = 260 + 200 * np.sin(0.05 * k + 2 * person)
+    left = swing + 400 * (person // 3)
+    top = 20.0 + 200 * (person % 3)
+    return np.array([left, top, left + 50, top + 120])
+
+
+def frame_of(
+    people: Iterable[int],
+    k: int,
+    looks: F8,
+    place: Callable[[int, int], F8] = pacing,
+) -> Detections:
+    """Detections of these people, in their order, with errors of a pixel."""
+    named = list(people)
+    boxes = [
+        place(person, k) + np.random.default_rng([person, k]).normal(0, 1.0, 4) for person in named
+    ]
+    views = [look_of(looks[person], 1000 * k + person) for person in named]
+    return Detections.of(
+        np.reshape(boxes, (-1, 4)), embeddings=np.reshape(views, (-1, D)) if named else None
+    )
+
+
+def tracker_of(**sections) -> Tracker:
+    return Tracker(SIZE, fps=FPS, **sections)
+
+
+def followed(tracker: Tracker, frames: Iterable[Detections]) -> list[Tracks]:
+    """The online rows of each frame."""
+    return [tracker.update(found) for found in frames]
+
+
+def identity_of(tracks: Tracks, detection: int) -> int:
+    """The identity that a detection has in the rows of a frame; 0: none."""
+    at = np.flatnonzero(tracks.detection == detection)
+    return int(tracks.identity[at[0]]) if len(at) else 0

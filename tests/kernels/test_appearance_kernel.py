@@ -1,0 +1,321 @@
+"""The kernels of appearance against their definitions."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from inner_kernels import from_python
+from phdtrack.kernels.appearance import (
+    Law,
+    Looks,
+    Pasts,
+    free_parts,
+    likeness,
+    likeness_of_pairs,
+    pair_ratios,
+    remembered,
+)
+from phdtrack.kernels.appearance_lessons import Followed, Lessons, taught
+from phdtrack.kernels.gaussian import PAIR
+from phdtrack.kernels.pmb import HYPOTHESIS
+from phdtrack.models.appearance import LEAST_FREE, PAUSE, SPANS, nobody
+from reference import appearance_twin as twin
+
+(ratios_of,) = from_python(pair_ratios)
+SEEDS = st.integers(0, 2**32 - 1)
+LENGTHS = st.sampled_from([1, 2, 5, 32])
+
+
+def a_law(rng: np.random.Generator) -> Law:
+    """Any law: that of the same object may be the wider one, or lie below."""
+    same, other = rng.uniform(-0.2, 1, 2)
+    means_same, means_other = rng.uniform(-0.2, 1, 2)
+    deviation = np.where(rng.random(5) < 0.2, 0.1, rng.uniform(0.03, 0.5, 5)).tolist()
+    return Law(
+        rng.uniform(0.1, 1),
+        same,
+        -rng.uniform(0, 0.2),
+        deviation[0],
+        other,
+        deviation[1],
+        rng.uniform(0.1, 3),
+        rng.uniform(0.05, 0.95),
+        deviation[2],
+        rng.uniform(0, 1),
+        means_same,
+        deviation[3],
+        means_other,
+        deviation[4],
+        np.inf,
+    )
+
+
+def a_frame(
+    rng: np.random.Generator, n: int, size: int, *, law: Law | None = None, time: float = 10.0
+) -> Looks:
+    """n detections, of some of which nothing is known or free."""
+    raw = rng.normal(0, 1, (n, size)) + 1
+    raw[rng.random(n) < 0.2] = 0
+    raw /= np.maximum(np.linalg.norm(raw, axis=1), 1e-9)[:, None]
+    mean = rng.normal(0.3, 0.1, size) / np.sqrt(size)
+    known = np.linalg.norm(raw, axis=1) > 0
+    seen = np.array([twin.direction(row, mean) for row in raw]).reshape(n, size)
+    free = np.where(known & (rng.random(n) < 0.8), rng.uniform(0.1, 1, n), 0.0)
+    return Looks(
+        raw.astype(np.float32),
+        seen.astype(np.float32),
+        mean.astype(np.float32),
+        free,
+        law or a_law(rng),
+        time,
+        rng.uniform(0.5, 5),
+    )
+
+
+def some_pasts(rng: np.random.Generator, count: int, size: int, looks: Looks) -> list[twin.Past]:
+    out = []
+    for _ in range(count):
+        n = int(rng.integers(1, 5))
+        time = np.sort(looks.time - rng.uniform(0.01, 8, n))
+        look = rng.normal(0, 1, (n, size)) + 1
+        look /= np.linalg.norm(look, axis=1)[:, None]
+        out.append(
+            twin.Past(
+                tuple(time.tolist()),
+                tuple(rng.uniform(0.1, 1, n).tolist()),
+                tuple(map(tuple, look.tolist())),
+                float(rng.random()),
+                float(rng.uniform(1, 9)),
+            )
+        )
+    return out
+
+
+def as_arrays(pasts: list[twin.Past], size: int, memory: float) -> Pasts:
+    """The same as the kernels take them."""
+    return Pasts(
+        np.array([p.mean(memory) for p in pasts], np.float32).reshape(-1, size),
+        np.array([p.weights(memory).sum() for p in pasts]).reshape(-1),
+        np.array([p.time[-1] for p in pasts]).reshape(-1),
+        np.array([p.number for p in pasts]).reshape(-1),
+        np.array([p.look[-1] for p in pasts], np.float32).reshape(-1, size),
+        np.array([p.odd for p in pasts]).reshape(-1),
+    )
+
+
+def plain(looks: Looks) -> tuple:
+    return (*looks[:4], tuple(looks.law), *looks[5:])
+
+
+def some_hypotheses(rng: np.random.Generator, targets: int, pasts: int, n: int) -> np.ndarray:
+    """Hypotheses of targets; a past is of one target only."""
+    rows = []
+    for t in range(targets):
+        own = np.arange(t, pasts, targets)
+        for _ in range(int(rng.integers(1, 6))):
+            past = -1 if not len(own) or rng.random() < 0.2 else int(rng.choice(own))
+            rows.append((t, past, int(rng.integers(-1, n))))
+    out = np.zeros(len(rows), HYPOTHESIS)
+    if rows:
+        out["target"], out["past"], out["detection"] = np.array(rows).T
+    return out
+
+
+@settings(max_examples=60)
+@given(SEEDS, st.integers(0, 5), st.integers(0, 6), st.integers(0, 5), LENGTHS)
+def test_pair_ratios_are_their_definition(seed: int, targets: int, pasts: int, n: int, size: int):
+    rng = np.random.default_rng(seed)
+    looks = a_frame(rng, n, size)
+    known = some_pasts(rng, pasts, size, looks)
+    hypotheses = some_hypotheses(rng, targets, pasts if targets else 0, n)
+    each = [(c, j) for c in range(len(hypotheses)) for j in range(n)]
+    pairs = np.zeros(len(each), PAIR)
+    for q, (c, j) in enumerate(each):
+        pairs[q]["gaussian"] = c
+        pairs[q]["measurement"] = j
+    found = ratios_of(pairs, hypotheses, as_arrays(known, size, looks.memory), looks)
+    if not pasts:
+        assert found.shape == (0,)
+        return
+    wanted = []
+    for c, j in each:
+        past = int(hypotheses["past"][c])
+        wanted.append(twin.pair_ratio(known[past] if past >= 0 else None, j, looks))
+    np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=2e-3)
+
+
+def test_pairs_have_no_ratio_before_lessons(rng: np.random.Generator):
+    looks = a_frame(rng, 3, 4)
+    looks = looks._replace(law=looks.law._replace(weight=0.0))
+    pasts = as_arrays(some_pasts(rng, 2, 4, looks), 4, looks.memory)
+    assert ratios_of(np.zeros(2, PAIR), np.zeros(2, HYPOTHESIS), pasts, looks).shape == (0,)
+
+
+@settings(max_examples=30)
+@given(SEEDS, st.integers(0, 5), st.integers(0, 6), st.integers(1, 5), LENGTHS)
+def test_pasts_after_a_frame_are_as_defined(seed: int, targets: int, pasts: int, n: int, size: int):
+    """Each hypothesis has its own past, and those that saw the same share one."""
+    rng = np.random.default_rng(seed)
+    looks = a_frame(rng, n, size)
+    known = some_pasts(rng, pasts if targets else 0, size, looks)
+    hypotheses = some_hypotheses(rng, targets, len(known), n)
+    before = hypotheses.copy()
+    after = remembered(hypotheses, tuple(as_arrays(known, size, looks.memory)), plain(looks))
+    shared = {}
+    for c, h in enumerate(before):
+        past = known[h["past"]] if h["past"] >= 0 else None
+        wanted = twin.followed_by(past, int(h["detection"]), looks)
+        place = int(hypotheses["past"][c])
+        assert (place < 0) == (wanted is None)
+        if wanted is None:
+            continue
+        seen = h["target"], h["past"], h["detection"] if wanted is not past else -1
+        assert shared.setdefault(seen, place) == place
+        got = [column[place] for column in after]
+        mean = wanted.mean(looks.memory)
+        weight = wanted.weights(looks.memory).sum()
+        for value, right in zip(
+            got,
+            (mean, weight, wanted.time[-1], wanted.number, wanted.look[-1], wanted.odd),
+            strict=True,
+        ):
+            np.testing.assert_allclose(value, right, rtol=1e-3, atol=1e-3)
+    assert sorted(shared.values()) == list(range(len(after.time)))
+
+
+@settings(max_examples=40)
+@given(SEEDS, st.integers(0, 4), st.integers(0, 4), LENGTHS)
+def test_likeness_is_its_definition(seed: int, n: int, m: int, size: int):
+    rng = np.random.default_rng(seed)
+    looks = a_frame(rng, 0, size)
+    mean = rng.normal(0.2, 0.3, (n + m, size)).astype(np.float32)
+    count = rng.uniform(0.5, 20, n + m)
+    wanted = [
+        [twin.likeness(mean[a], count[a], mean[n + b], count[n + b], looks) for b in range(m)]
+        for a in range(n)
+    ]
+    found = likeness(mean[:n], count[:n], mean[n:], count[n:], np.zeros((n, m)), plain(looks))
+    np.testing.assert_allclose(found, np.reshape(wanted, (n, m)), rtol=1e-3, atol=2e-3)
+    before, after = np.indices((n, m)).reshape(2, -1)
+    pairs = likeness_of_pairs(mean, count, before, n + after, plain(looks))
+    np.testing.assert_allclose(pairs, found.ravel(), rtol=1e-6, atol=1e-9)
+
+
+def test_likeness_of_what_is_not_known_is_even(rng: np.random.Generator):
+    looks = a_frame(rng, 0, 3)
+    mean = rng.normal(0, 1, (3, 3)).astype(np.float32)
+    count = np.array([2.0, 0.0, 3.0])
+    pairs = np.array([0, 1, 1]), np.array([1, 2, 0])
+    assert not likeness_of_pairs(mean, count, *pairs, plain(looks)).any()
+    nothing = looks._replace(law=looks.law._replace(means_weight=0.0))
+    found = likeness_of_pairs(mean, count, np.array([0]), np.array([2]), plain(nothing))
+    assert not found.any()
+
+
+def test_the_ratio_never_falls_with_similarity(rng: np.random.Generator):
+    """Whichever Gaussian is the wider one."""
+    size = 2
+    angle = np.linspace(np.pi, 0, 60)
+    for _ in range(20):
+        law = a_law(rng)
+        looks = a_frame(rng, 0, size, law=law)._replace(mean=np.zeros(size, np.float32))
+        mean = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        mean = np.vstack([mean, [[1, 0]]]).astype(np.float32)
+        ratio = likeness_of_pairs(
+            mean, np.full(61, 5.0), np.arange(60), np.full(60, 60), plain(looks)
+        )
+        assert (np.diff(ratio) >= -1e-5).all()
+
+
+@settings(max_examples=60)
+@given(SEEDS, st.integers(0, 8))
+def test_free_parts_are_what_others_leave(seed: int, n: int):
+    rng = np.random.default_rng(seed)
+    corner = rng.uniform(0, 60, (n, 2))
+    boxes = np.hstack([corner, corner + rng.uniform(10, 60, (n, 2))])
+    np.testing.assert_allclose(free_parts(boxes), twin.free_parts(boxes), atol=1e-12)
+
+
+def test_free_parts_of_boxes_side_by_side_and_inside():
+    boxes = np.array([[0.0, 0, 10, 10], [10, 0, 20, 10], [12, 2, 18, 8], [7.5, 0, 10, 10]])
+    # A quarter of the first is covered, of the second .36; the others lie inside.
+    np.testing.assert_allclose(free_parts(boxes), [0.5, 1 - 0.72, 0, 0])
+
+
+@settings(max_examples=12)
+@given(SEEDS, st.integers(1, 4), st.sampled_from([1, 3, 16]), st.sampled_from([20.0, 3000.0]))
+def test_lessons_are_their_definition(seed: int, people: int, size: int, most: float):
+    """Of targets that come, go, are doubtful or covered for a while, with descriptors that are
+    sometimes not known.
+    """
+    rng = np.random.default_rng(seed)
+    own = rng.normal(0, 1, (people, size)) + 1
+    school = twin.School(SPANS, PAUSE, LEAST_FREE, most)
+    followed = nobody(size)
+    lessons = Lessons(np.zeros(6), np.zeros(3), np.zeros(6), np.zeros(6))
+    time = 0.0
+    memory = rng.uniform(1, 5)
+    mean = (own.mean(axis=0) / 3).astype(np.float32)
+    for _ in range(150):
+        time += float(rng.choice([0.04, 0.1, 0.6]))
+        raw = own + rng.normal(0, 0.5, own.shape)
+        raw[rng.random(people) < 0.1] = 0
+        length = np.linalg.norm(raw, axis=1)
+        raw /= np.maximum(length, 1e-9)[:, None]
+        seen = np.array([twin.direction(row, mean) for row in raw]) * (length > 0)[:, None]
+        free = np.where(length > 0, rng.uniform(0.3, 1, people), 0.0)
+        looks = SimpleNamespace(
+            raw=raw.astype(np.float32),
+            seen=seen.astype(np.float32),
+            mean=mean,
+            free=free,
+            law=a_law(rng),
+            time=time,
+            memory=memory,
+        )
+        sure = np.flatnonzero(rng.random(people) < 0.97)
+        had = np.where(rng.random(len(sure)) < 0.8, sure, -1)
+        table = np.stack([10 + sure, had], axis=1)
+        school.frame(table, looks)
+        frame = Looks(*vars(looks).values())
+        rules = (SPANS, PAUSE, LEAST_FREE, most)
+        followed, lessons = taught(tuple(followed), tuple(lessons), table, plain(frame), rules)
+        assert followed.label.tolist() == list(school.people)
+    for name in Lessons._fields:
+        # A single number may be that of the mean, but for errors of rounding.
+        part = slice(0, None, 3) if size == 1 else slice(None)
+        wanted = getattr(school, name)[part]
+        np.testing.assert_allclose(getattr(lessons, name)[part], wanted, rtol=2e-3, atol=2e-3)
+    check_followed(followed, school, memory)
+
+
+def check_followed(followed: Followed, school: twin.School, memory: float) -> None:
+    """What is known of each target is what all its detections say."""
+    for k, one in enumerate(school.people.values()):
+        assert followed.taught[k] == one.taught
+        assert [*np.flatnonzero(np.isfinite(followed.early_time[k]))] == sorted(one.early)
+        if not one.seen:
+            assert followed.weight[k] == 0
+            continue
+        np.testing.assert_allclose(followed.mean[k], one.mean(memory), atol=1e-3)
+        assert followed.time[k] == one.seen[-1][0]
+        for place, end in one.early.items():
+            np.testing.assert_allclose(
+                followed.early[k, place], one.mean(memory, 0, end), atol=1e-3
+            )
+
+
+@pytest.mark.parametrize("sure", [[], [[3, -1]], [[3, 0]]])
+def test_one_target_alone_teaches_nothing_of_others(sure: list, rng: np.random.Generator):
+    looks = a_frame(rng, 1, 4)._replace(free=np.ones(1))
+    lessons = Lessons(np.zeros(6), np.zeros(3), np.zeros(6), np.zeros(6))
+    table = np.array(sure, np.int64).reshape(-1, 2)
+    rules = (SPANS, PAUSE, LEAST_FREE, 3000.0)
+    followed, after = taught(tuple(nobody(4)), tuple(lessons), table, plain(looks), rules)
+    assert len(followed.label) == len(sure)
+    assert not any(part.any() for part in after)
