@@ -168,6 +168,7 @@ def test_a_file_has_a_row_for_each_row_in_any_order(scene: Path, tmp_path: Path)
     assert (name["name"], name["file"][0]) == (str(tmp_path / "looks.npy"),) * 2
 
 
+@pytest.mark.slow
 def test_background_detections_keep_their_colours(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     words = [*track(scene, out), "--appearance", "colours"]
@@ -204,6 +205,7 @@ class Stopping(RunObserver):
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_a_resumed_run_has_the_same_embeddings(scene: Path, tmp_path: Path) -> None:
     def request(out: Path, *, resume: bool = False) -> RunRequest:
         return RunRequest(
