@@ -66,8 +66,9 @@ class Tracker:
     """Detections in, tracks with identities out; one call per frame.
 
     Memory is bounded: the last ten minutes are remembered, some 100 MB with ten targets at 25 fps,
-    and `tracks` goes back so far and a little more. `FinalTracks` gives the corrected rows of a
-    loop without end. ``associate={"history": S}`` remembers S seconds, and 0 everything.
+    embeddings with 4 bytes a number besides. `tracks` goes back so far and a little more.
+    `FinalTracks` gives the corrected rows of a loop without end. ``associate={"history": S}``
+    remembers S seconds, and 0 everything.
 
     Parameters
     ----------

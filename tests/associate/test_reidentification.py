@@ -21,8 +21,7 @@ from appearance_cases import (
 from phdtrack import Tracker
 from phdtrack.associate import reidentification
 from phdtrack.associate.reidentification import Returns, nobody, remembering, taken
-from phdtrack.kernels.appearance import Looks
-from phdtrack.models.appearance import NOTHING
+from phdtrack.kernels.appearance import UNKNOWN, Looks
 from phdtrack.models.returns import NEARBY, RETURN, RETURN_TIME, log_odds
 from phdtrack.models.track_returns import with_returns
 from phdtrack.protocols import Associator
@@ -301,7 +300,7 @@ def test_odds_are_by_bayes_rule(rng: np.random.Generator):
 
 def looks_at(time: float) -> Looks:
     """Of a frame, after lessons that told all from each other."""
-    law = NOTHING._replace(
+    law = UNKNOWN._replace(
         weight=1.0, means_weight=1.0, means_same=0.9, means_deviation=0.1, within=math.inf
     )
     none = np.zeros((0, D), np.float32)

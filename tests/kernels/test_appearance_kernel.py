@@ -16,8 +16,8 @@ from phdtrack.kernels.appearance import (
     Pasts,
     free_parts,
     likeness,
-    likeness_of_pairs,
     pair_ratios,
+    plain,
     remembered,
 )
 from phdtrack.kernels.appearance_lessons import Followed, Lessons, taught
@@ -108,10 +108,6 @@ def as_arrays(pasts: list[twin.Past], size: int, memory: float) -> Pasts:
     )
 
 
-def plain(looks: Looks) -> tuple:
-    return (*looks[:4], tuple(looks.law), *looks[5:])
-
-
 def some_hypotheses(rng: np.random.Generator, targets: int, pasts: int, n: int) -> np.ndarray:
     """Hypotheses of targets; a past is of one target only."""
     rows = []
@@ -195,15 +191,14 @@ def test_likeness_is_its_definition(seed: int, n: int, m: int, size: int):
     looks = a_frame(rng, 0, size)
     mean = rng.normal(0.2, 0.3, (n + m, size)).astype(np.float32)
     count = rng.uniform(0.5, 20, n + m)
-    wanted = [
-        [twin.likeness(mean[a], count[a], mean[n + b], count[n + b], looks) for b in range(m)]
-        for a in range(n)
-    ]
-    found = likeness(mean[:n], count[:n], mean[n:], count[n:], np.zeros((n, m)), plain(looks))
-    np.testing.assert_allclose(found, np.reshape(wanted, (n, m)), rtol=1e-3, atol=2e-3)
     before, after = np.indices((n, m)).reshape(2, -1)
-    pairs = likeness_of_pairs(mean, count, before, n + after, plain(looks))
-    np.testing.assert_allclose(pairs, found.ravel(), rtol=1e-6, atol=1e-9)
+    after = n + after
+    wanted = [
+        twin.likeness(mean[a], count[a], mean[b], count[b], looks)
+        for a, b in zip(before, after, strict=True)
+    ]
+    found = likeness(mean, count, before, after, plain(looks))
+    np.testing.assert_allclose(found, np.array(wanted), rtol=1e-3, atol=2e-3)
 
 
 def test_likeness_of_what_is_not_known_is_even(rng: np.random.Generator):
@@ -211,9 +206,9 @@ def test_likeness_of_what_is_not_known_is_even(rng: np.random.Generator):
     mean = rng.normal(0, 1, (3, 3)).astype(np.float32)
     count = np.array([2.0, 0.0, 3.0])
     pairs = np.array([0, 1, 1]), np.array([1, 2, 0])
-    assert not likeness_of_pairs(mean, count, *pairs, plain(looks)).any()
+    assert not likeness(mean, count, *pairs, plain(looks)).any()
     nothing = looks._replace(law=looks.law._replace(means_weight=0.0))
-    found = likeness_of_pairs(mean, count, np.array([0]), np.array([2]), plain(nothing))
+    found = likeness(mean, count, np.array([0]), np.array([2]), plain(nothing))
     assert not found.any()
 
 
@@ -226,9 +221,7 @@ def test_the_ratio_never_falls_with_similarity(rng: np.random.Generator):
         looks = a_frame(rng, 0, size, law=law)._replace(mean=np.zeros(size, np.float32))
         mean = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         mean = np.vstack([mean, [[1, 0]]]).astype(np.float32)
-        ratio = likeness_of_pairs(
-            mean, np.full(61, 5.0), np.arange(60), np.full(60, 60), plain(looks)
-        )
+        ratio = likeness(mean, np.full(61, 5.0), np.arange(60), np.full(60, 60), plain(looks))
         assert (np.diff(ratio) >= -1e-5).all()
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phdtrack.kernels.appearance import likeness
+from phdtrack.kernels.appearance import likeness, plain
 from phdtrack.models.appearance import PAUSE, Appearance, AppearanceSeen
 from phdtrack.types import F8, Detections
 
@@ -55,12 +55,9 @@ def ratios(state: AppearanceSeen, a: np.ndarray, b: np.ndarray, rule: Appearance
     """(n,) log-likelihood ratios of rows of ``a`` and ``b`` (n, D), means of ten descriptors."""
     known = rule.known(state)
     assert known is not None
-    plain = (*known[:4], tuple(known.law), *known[5:])
-    ten = np.full(len(a), 10.0)
-    whole = likeness(
-        a.astype(np.float32), ten, b.astype(np.float32), ten, np.zeros((len(a), len(b))), plain
-    )
-    return np.diagonal(whole)
+    n = len(a)
+    mean = np.vstack([a, b]).astype(np.float32)
+    return likeness(mean, np.full(2 * n, 10.0), np.arange(n), n + np.arange(n), plain(known))
 
 
 def test_nothing_is_worth_anything_before_lessons(rng: np.random.Generator):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from smoothing_cases import model_of, sequence, walk
 
-from phdtrack.kernels.appearance import Looks
-from phdtrack.models.appearance import NOTHING
+from phdtrack.kernels.appearance import UNKNOWN, Looks
 from phdtrack.protocols import Model
 from phdtrack.smooth.parting import parted
 from phdtrack.smooth.paths import paths_of
@@ -28,7 +27,7 @@ LAST = 100
 
 def law(**other: float) -> Looks:
     """What similarity says after many lessons, of objects that look different."""
-    found = NOTHING._replace(
+    found = UNKNOWN._replace(
         weight=0.5,
         means_weight=1.0,
         means_same=0.95,

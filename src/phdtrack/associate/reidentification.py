@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels.appearance import Looks, likeness
+from phdtrack.kernels.appearance import Looks, likeness, plain
 from phdtrack.models.returns import log_odds
 from phdtrack.types import F4, F8, I8, Bool, Estimates, Return
 
@@ -191,7 +191,7 @@ def _given_back(state: Returns, estimates: Estimates, looks: Looks, time: float)
         & (time - seen.first <= UNDECIDED)
     )
     lost = np.flatnonzero(~alive & ~seen.taken & (seen.identity > 0))
-    if not len(new) or not len(lost) or looks.law.weight <= 0:
+    if not len(new) or not len(lost) or looks.law.means_weight <= 0:
         return []
     odds = _odds(state, new, lost, looks)
     total = 1.0 + odds.sum(axis=1)
@@ -222,20 +222,13 @@ def _odds(state: Returns, new: I8, lost: I8, looks: Looks) -> F8:
     """(n, m) the odds of targets ``new`` to be those ``lost``, against new ones."""
     seen = state.seen
     gap = seen.first[new][:, None] - seen.last[lost][None]
-    ratio = likeness(
-        np.ascontiguousarray(seen.mean[new]),
-        seen.number[new],
-        np.ascontiguousarray(seen.mean[lost]),
-        seen.number[lost],
-        np.maximum(gap, 0.0),
-        (*looks[:4], tuple(looks.law), *looks[5:]),
-    )
+    a, b = np.indices(gap.shape).reshape(2, -1)
+    ratio = likeness(seen.mean, seen.number, lost[b], new[a], plain(looks))
     left, top, right, bottom = state.extent
     area = max((right - left) * (bottom - top), 1.0)
     births = max(state.confirmed, 1) / max(seen.last.max() - state.begun, 1.0)
-    a, b = np.indices(gap.shape).reshape(2, -1)
     prior = log_odds(gap.ravel(), seen.xyxy[lost][b], seen.xyxy[new][a], births, area)
-    odds: F8 = np.exp(prior.reshape(gap.shape) + ratio)
+    odds: F8 = np.exp(prior + ratio).reshape(gap.shape)
     odds[gap > looks.law.within] = 0.0
     return odds
 

@@ -84,7 +84,7 @@ from phdtrack.errors import (
 )
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
 from phdtrack.kernels import Records
-from phdtrack.kernels.appearance import Law, Looks, Pasts, remembered
+from phdtrack.kernels.appearance import UNKNOWN, Looks, Pasts, plain, remembered
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.jumps import Jumps
@@ -138,7 +138,7 @@ NO_LOOKS = Looks(
     np.zeros((0, 0), np.float32),
     np.zeros(0, np.float32),
     np.zeros(0),
-    Law(0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.5, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0),
+    UNKNOWN,
     0.0,
     1.0,
 )
@@ -370,7 +370,7 @@ class PMB(Checked, Filter[Bernoullis]):
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some
         # kernels.
         now, pasts, looks = _with_pasts(now, state.pasts, model.appearance)
-        appearance = tuple(pasts), (*looks[:4], tuple(looks.law), *looks[5:])
+        appearance = tuple(pasts), plain(looks)
         layer, learned, gone, weak, counted, verdicts = updated_layer(
             *map(tuple, (now, ahead, seen, new, scores, settings)),
             state.next_label,

@@ -14,7 +14,7 @@ by two Gaussians, of which that of the same object falls with log Δ [APP (1)], 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -104,9 +104,20 @@ class Pasts(NamedTuple):
     odd: F8
 
 
+# Nothing is known of what similarity says.
+UNKNOWN = Law(0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.5, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0)
+
+
+def plain(looks: Looks) -> tuple[Any, ...]:
+    """`Looks` as plain tuples, which kernels are called with: Numba looks up the class of every
+    named one, which takes as long as some kernels.
+    """
+    return (*looks[:4], tuple(looks.law), *looks[5:])
+
+
 @njit(**INLINED)
 def named(looks: Looks) -> Looks:
-    """`Looks` of plain tuples, which is what kernels are called with."""
+    """`Looks` of those of `plain`."""
     raw, seen, mean, free, law, time, memory = looks
     return Looks(raw, seen, mean, free, Law(*law), time, memory)
 
@@ -225,34 +236,12 @@ def _of_pair(
 
 
 @njit(**ENTRY)
-def likeness(mean: F4, count: F8, other: F4, other_count: F8, seconds: F8, looks: Looks) -> F8:
-    """(n, m) log p(s̄ | the same object)/p(s̄ | another object) of new pasts (n,) and old ones
-    (m,), ``seconds`` (n, m) after these were last seen [APP (5)].
+def likeness(mean: F4, number: F8, before: I8, after: I8, looks: Looks) -> F8:
+    """(P,) log p(s | the same object)/p(s | another object) of two means each, ``before`` and
+    ``after`` (P,), s their similarity [APP (5)]; 0 where one of them is not known.
 
-    s̄ is the mean similarity of the descriptors of a new past to the mean of an old one.
-    """
-    looks = named(looks)
-    law = looks.law
-    a = directions(mean, looks.mean)
-    b = directions(other, looks.mean)
-    out = np.empty(seconds.shape)
-    for i in range(len(a)):
-        errors = (1.0 - law.signal) / law.signal
-        for k in range(len(b)):
-            s = similarity_of(a, i, b, k)
-            same = law.means_same
-            same /= math.sqrt((1.0 + errors / count[i]) * (1.0 + errors / other_count[k]))
-            gain = math.exp(
-                _gain(s, same, law.means_deviation, law.means_other, law.means_other_deviation)
-            )
-            out[i, k] = law.means_weight * math.log((1.0 - CHANCE) * gain + CHANCE)
-    return out
-
-
-@njit(**ENTRY)
-def likeness_of_pairs(mean: F4, count: F8, before: I8, after: I8, looks: Looks) -> F8:
-    """(P,) `likeness` of the pasts ``before`` and ``after`` (P,), of which ``mean`` and ``count``
-    are known; 0 where one of them is not.
+    ``mean`` (M, D): of descriptors. ``number`` (M,): of how many independent ones, 0 where nothing
+    is known.
     """
     looks = named(looks)
     law = looks.law
@@ -262,10 +251,10 @@ def likeness_of_pairs(mean: F4, count: F8, before: I8, after: I8, looks: Looks) 
     for q in range(before.size):
         a = before[q]
         b = after[q]
-        if count[a] > 0.0 and count[b] > 0.0 and law.means_weight > 0.0:
+        if number[a] > 0.0 and number[b] > 0.0 and law.means_weight > 0.0:
             s = similarity_of(direction, a, direction, b)
             same = law.means_same
-            same /= math.sqrt((1.0 + errors / count[a]) * (1.0 + errors / count[b]))
+            same /= math.sqrt((1.0 + errors / number[a]) * (1.0 + errors / number[b]))
             gain = math.exp(
                 _gain(s, same, law.means_deviation, law.means_other, law.means_other_deviation)
             )
@@ -391,7 +380,13 @@ def _write_seen(
         out.odd[n] = pasts.odd[past] + looks.free[j] * (after - pasts.odd[past])
     out.weight[n] = old + looks.free[j]
     out.time[n] = looks.time
-    share = np.float32(looks.free[j] / out.weight[n])
+    out.mean[n] = pasts.mean[past] if past >= 0 else looks.raw[j]
+    move_mean(out.mean, n, looks, j, looks.free[j] / out.weight[n])
+
+
+@njit(**INNER)
+def move_mean(mean: F4, i: int, looks: Looks, j: int, share: float) -> None:
+    """Take detection j into mean i of descriptors, as this ``share`` of it."""
+    part = np.float32(share)
     for k in range(len(looks.mean)):
-        before = pasts.mean[past, k] if past >= 0 else np.float32(0.0)
-        out.mean[n, k] = before + share * (looks.raw[j, k] - before)
+        mean[i, k] += part * (looks.raw[j, k] - mean[i, k])

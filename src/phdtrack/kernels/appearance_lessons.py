@@ -10,7 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F4, F8, I8, Bool
-from phdtrack.kernels.appearance import LEAST_LENGTH, SOON, Looks, directions, named, similarity_of
+from phdtrack.kernels.appearance import (
+    LEAST_LENGTH,
+    SOON,
+    Looks,
+    directions,
+    move_mean,
+    named,
+    similarity_of,
+)
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
@@ -238,9 +246,7 @@ def _renew(out: Followed, looks: Looks, at: tuple[int, int], spans: tuple[float,
         old = out.weight[a] * math.exp((out.time[a] - looks.time) / looks.memory)
     out.weight[a] = old + looks.free[j]
     out.time[a] = looks.time
-    share = np.float32(looks.free[j] / out.weight[a])
-    for k in range(len(looks.mean)):
-        out.mean[a, k] += share * (looks.raw[j, k] - out.mean[a, k])
+    move_mean(out.mean, a, looks, j, looks.free[j] / out.weight[a])
 
 
 @njit(**INNER)

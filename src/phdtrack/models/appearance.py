@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.errors import Checked, NonNegative, Positive
-from phdtrack.kernels.appearance import Law, Looks, free_parts
+from phdtrack.kernels.appearance import UNKNOWN, Law, Looks, free_parts, plain
 from phdtrack.kernels.appearance_lessons import Followed, Lessons, taught
 from phdtrack.types import F4, F8, I8, Detections
 
@@ -40,7 +40,6 @@ TRUST = 0.5
 USUAL_INDEPENDENT = 0.5
 PRIOR_SINGLE = 20.0
 USUAL_SIGNAL = 0.6
-NOTHING = Law(0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.5, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +150,7 @@ class Appearance(Checked):
         within = self.reidentify_within or math.inf
         least = min(number, others)
         if least <= 0:
-            return NOTHING._replace(within=within)
+            return UNKNOWN._replace(within=within)
         spread = xx - x * x / number
         fading = min((xs - x * s / number) / (spread + 1.0), 0.0)
         same = (s - fading * x) / number
@@ -221,7 +220,7 @@ class Appearance(Checked):
             tuple(state.followed),
             tuple(state.lessons),
             sure,
-            (*looks[:4], tuple(looks.law), *looks[5:]),
+            plain(looks),
             (SPANS, PAUSE, LEAST_FREE, REMEMBERED),
         )
         return AppearanceSeen(state.mean, state.count, followed, lessons)

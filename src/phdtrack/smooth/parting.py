@@ -7,15 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from phdtrack.smooth.looks import SequenceLooks
 from phdtrack.smooth.paths import Paths
 from phdtrack.smooth.sequence import Sequence
-from phdtrack.smooth.stitching import free_boxes, likeness_of_means
 from phdtrack.types import F8, I8, Bool, Tracks
 
 # A track is parted where what it looks like before and after has a log-likelihood ratio below this
-# of being one object, the least within so many seconds.
+# of being one object.
 PARTED = -0.5
-NEIGHBOURHOOD = 1.0
 # Times without detections are as long from this share of the longest on.
 LONG = 0.75
 # Independent descriptors on each side that this needs.
@@ -32,16 +31,10 @@ def parted(tracks: Tracks, paths: Paths, sequence: Sequence) -> Tracks:
     tracks, paths : corrected tracks, and the same as paths.
     sequence : their measurements.
     """
-    looks = sequence.looks
-    if looks is None or looks.law.means_weight <= 0:
+    known = sequence.looks
+    if known is None or known.frame.law.means_weight <= 0:
         return tracks
     measurements = sequence.measurements
-    raw = measurements.embeddings
-    if raw.shape[1] != looks.raw.shape[1]:
-        return tracks
-    length = np.sqrt(np.einsum("nd,nd->n", raw, raw))
-    weight = free_boxes(sequence) * (length > 0)
-    unit = raw / np.maximum(length, 1e-9)[:, None].astype(np.float32)
     time = measurements.time / sequence.rate
     identity = tracks.identity.copy()
     kept = np.ones(len(tracks), np.bool_)
@@ -53,7 +46,7 @@ def parted(tracks: Tracks, paths: Paths, sequence: Sequence) -> Tracks:
             continue
         column = paths.measurement[rows]
         when = time[paths.frame[rows]]
-        cuts = _cuts(unit[column], weight[column], when, sequence)
+        cuts = _cuts(known, column, when)
         if not len(cuts):
             continue
         name = tracks.identity[paths.row[rows[0]]]
@@ -70,28 +63,28 @@ def parted(tracks: Tracks, paths: Paths, sequence: Sequence) -> Tracks:
     return replace(tracks, identity=identity).select(kept)
 
 
-def _cuts(unit: F8, weight: F8, time: F8, sequence: Sequence) -> I8:
-    """The detections of a track after which it is parted; ``unit`` (n, D), ``weight`` and ``time``
-    (n,) are theirs.
+def _cuts(known: SequenceLooks, column: I8, time: F8) -> I8:
+    """The detections of a track after which it is parted; ``column`` (n,) are their measurements,
+    ``time`` (n,) their seconds.
     """
-    looks = sequence.looks
-    assert looks is not None
+    unit = known.unit[column]
+    weight = known.weight[column]
+    memory = known.frame.memory
     n = len(time)
     total = np.zeros((n + 1, unit.shape[1]))
     np.cumsum(unit * weight[:, None], axis=0, out=total[1:])
     mass = np.concatenate(([0.0], np.cumsum(weight)))
     here = np.arange(1, n)
-    begin = np.searchsorted(time, time[:-1] - looks.memory)
-    end = np.searchsorted(time, time[1:] + looks.memory, side="right")
+    begin = np.searchsorted(time, time[:-1] - memory)
+    end = np.searchsorted(time, time[1:] + memory, side="right")
     before = mass[here] - mass[begin]
     after = mass[end] - mass[here]
     means = np.concatenate([total[here] - total[begin], total[end] - total[here]])
     count = np.concatenate([before, after])
     means /= np.maximum(count, 1e-9)[:, None]
-    ratio, independent = likeness_of_means(
-        means.astype(np.float32), count, here - 1, n - 1 + here - 1, sequence
-    )
-    enough = (independent[: n - 1] >= LEAST) & (independent[n - 1 :] >= LEAST)
+    number = known.independent(count)
+    ratio = known.likeness(means.astype(np.float32), number, here - 1, n - 1 + here - 1)
+    enough = (number[: n - 1] >= LEAST) & (number[n - 1 :] >= LEAST)
     ratio = np.where(enough, ratio, 0.0)
     cuts = list[int]()
     while True:
@@ -105,5 +98,5 @@ def _cuts(unit: F8, weight: F8, time: F8, sequence: Sequence) -> I8:
         cut = int(flat[len(flat) // 2])
         cuts.append(cut)
         middle = (time[cut] + time[cut + 1]) / 2
-        near: Bool = np.abs((time[:-1] + time[1:]) / 2 - middle) <= looks.memory
+        near: Bool = np.abs((time[:-1] + time[1:]) / 2 - middle) <= memory
         ratio = np.where(near, 0.0, ratio)

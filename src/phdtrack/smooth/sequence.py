@@ -7,15 +7,15 @@ frame (`models.rts`).
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.rts import filtered, smooth
 from phdtrack.models.rts import Ahead, moved
 from phdtrack.protocols import Model, Motion
+from phdtrack.smooth.looks import SequenceLooks
 from phdtrack.smooth.paths import Paths
 from phdtrack.types import F8, I8, STILL, MeasurementHistory
 
@@ -67,7 +67,8 @@ class Sequence:
     observed : the components of a state that a measurement shows.
     motion : the motion model.
     rate : its time units per second.
-    looks : what similarity says, None where no descriptors are known.
+    boxes : (Z, 4) of the measurements.
+    looks : what the boxes look like, None where that is not known.
     """
 
     measurements: MeasurementHistory
@@ -76,8 +77,8 @@ class Sequence:
     observed: I8
     motion: Motion
     rate: float
-    looks: Looks | None = None
-    boxes: F8 = field(default_factory=lambda: np.zeros((0, 4)))
+    boxes: F8
+    looks: SequenceLooks | None = None
 
     @classmethod
     def of(cls, measurements: MeasurementHistory, model: Model) -> Sequence:
@@ -85,9 +86,9 @@ class Sequence:
         state, covariance = model.sensor.states(measurements.z)
         observed = np.array(model.sensor.observed, np.int64)
         boxes = model.sensor.boxes(state)
-        looks = model.appearance if len(measurements.embeddings) else None
+        known = SequenceLooks.of(measurements, boxes, model.appearance, model.rate)
         return cls(
-            measurements, state, covariance, observed, model.motion, model.rate, looks, boxes
+            measurements, state, covariance, observed, model.motion, model.rate, boxes, known
         )
 
     def step(self, place: int) -> tuple[float, F8]:

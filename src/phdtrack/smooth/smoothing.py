@@ -105,9 +105,8 @@ class Smoothing:
             states = sequence.smooth(paths, sequence.fitting(paths))
         out = _rows(tracks, paths, states, measurements, model, self)
         if self.max_continuation > 0:
-            boxes = model.sensor.boxes(sequence.state)
             limit = self.max_continuation * model.rate
-            out = _numbered(continued(out, measurements, boxes, self.frame_size, limit))
+            out = _numbered(continued(out, measurements, sequence.boxes, self.frame_size, limit))
         if self.stitching:
             return with_returns(out, returns(paths, sequence))
         return out

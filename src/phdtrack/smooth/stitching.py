@@ -28,15 +28,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels.appearance import Looks, free_parts, likeness_of_pairs
 from phdtrack.kernels.association import best_pairs
 from phdtrack.models.returns import log_odds
 from phdtrack.models.rts import predict
+from phdtrack.smooth.looks import SequenceLooks
 from phdtrack.smooth.paths import Paths, joined
 from phdtrack.smooth.sequence import Sequence, Smoothed
 from phdtrack.types import F4, F8, I8, MeasurementHistory
@@ -146,81 +145,44 @@ def candidates(
     return np.concatenate(before), np.concatenate(after), np.concatenate(log_odds)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Ends:
+class _Ends(NamedTuple):
     """The looks of paths at their ends.
 
-    ``mean`` (2K, D), ``count`` (2K,): of the last seconds of each, then of the first ones, and how
-    many independent descriptors these are of.
+    ``mean`` (2K, D), ``number`` (2K,): of the last seconds of each, then of the first ones, and of
+    how many independent descriptors these are.
     """
 
     mean: F4
-    count: F8
-    looks: Looks
+    number: F8
+    looks: SequenceLooks
 
     def likeness(self, before: I8, after: I8) -> F8:
         """(P,) log p(s | one object)/p(s | two) of ends of paths and beginnings of others."""
-        return self.of(before, len(self.count) // 2 + after)
-
-    def of(self, before: I8, after: I8) -> F8:
-        """The same of any two means."""
-        looks = self.looks
-        plain = (*looks[:4], tuple(looks.law), *looks[5:])
-        out: F8 = likeness_of_pairs(self.mean, self.count, before, after, plain)
-        return out
+        second = len(self.number) // 2 + after
+        return self.looks.likeness(self.mean, self.number, before, second)
 
 
 def _ends(paths: Paths, sequence: Sequence) -> _Ends | None:
     """The looks of paths at their ends; None where these are not known."""
-    looks = sequence.looks
-    measurements = sequence.measurements
-    if looks is None or measurements.embeddings.shape[1] != looks.raw.shape[1]:
+    known = sequence.looks
+    if known is None:
         return None
     seen = np.flatnonzero(paths.measurement >= 0)
     column = paths.measurement[seen]
-    raw = measurements.embeddings[column]
-    length = np.sqrt(np.einsum("nd,nd->n", raw, raw))
-    time = measurements.time[paths.frame[seen]] / sequence.rate
+    seconds = sequence.measurements.time / sequence.rate
+    time = seconds[paths.frame[seen]]
     path = paths.path[seen]
+    first = seconds[paths.frame[paths.first]]
+    last = seconds[paths.frame[paths.last]]
     count = np.zeros(2 * len(paths))
-    mean = np.zeros((2 * len(paths), raw.shape[1]), np.float32)
-    boxes = free_boxes(sequence)[column] * (length > 0)
-    unit = raw / np.maximum(length, 1e-9)[:, None].astype(np.float32)
-    first = measurements.time[paths.frame[paths.first]] / sequence.rate
-    last = measurements.time[paths.frame[paths.last]] / sequence.rate
+    mean = np.zeros((2 * len(paths), known.unit.shape[1]), np.float32)
     for place, apart in enumerate((last[path] - time, time - first[path])):
-        weight = boxes * (apart <= looks.memory)
+        weight = known.weight[column] * (apart <= known.frame.memory)
         at = path + place * len(paths)
-        np.add.at(mean, at, unit * weight[:, None].astype(np.float32))
+        np.add.at(mean, at, known.unit[column] * weight[:, None].astype(np.float32))
         np.add.at(count, at, weight)
     mean /= np.maximum(count, 1e-9)[:, None].astype(np.float32)
-    return _Ends(mean, _independent(count, sequence), looks)
-
-
-def _independent(count: F8, sequence: Sequence) -> F8:
-    """How many independent descriptors so many of neighbouring frames are worth."""
-    assert sequence.looks is not None
-    steps = np.diff(sequence.measurements.time)
-    interval = float(np.median(steps)) / sequence.rate if len(steps) else 0.0
-    kept = math.exp(-interval / sequence.looks.law.independent)
-    return np.maximum(count * (1 - kept) / (1 + kept), np.minimum(count, 1.0))
-
-
-def likeness_of_means(
-    mean: F4, count: F8, before: I8, after: I8, sequence: Sequence
-) -> tuple[F8, F8]:
-    """(P,) the log-likelihood ratios that two means are of one object, and (M,) how many
-    independent descriptors each mean is worth.
-
-    Parameters
-    ----------
-    mean, count : (M, D), (M,) means of so many descriptors.
-    before, after : (P,) which means are compared.
-    sequence : of the descriptors.
-    """
-    independent = _independent(count, sequence)
-    assert sequence.looks is not None
-    return _Ends(mean, independent, sequence.looks).of(before, after), independent
+    return _Ends(mean, known.independent(count), known)
 
 
 def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tuple[int, int]]]:
@@ -243,10 +205,10 @@ def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tup
     area = max(float(size.prod()), 1.0)
     births = len(paths) / max(float(time[-1] - time[0]), 1.0)
     # What looks like nothing in particular is left to the motion.
-    law = ends.looks.law
-    ended = (ends.count[: len(paths)] > 0) & (law.means_weight > 0)
+    law = ends.looks.frame.law
+    ended = (ends.number[: len(paths)] > 0) & (law.means_weight > 0)
     good = list[tuple[I8, I8, F8]]()
-    began = np.flatnonzero(ends.count[len(paths) :] > 0)
+    began = np.flatnonzero(ends.number[len(paths) :] > 0)
     # In blocks, as all pairs of thousands of tracks would take much memory.
     for block in (began[k : k + _BLOCK] for k in range(0, len(began), _BLOCK)):
         gap = begin[block] - end[:, None]
@@ -275,17 +237,6 @@ def _name(measurements: MeasurementHistory, column: int) -> tuple[int, int]:
     """The frame and the row of a measurement."""
     frame = int(np.searchsorted(measurements.start, column, side="right")) - 1
     return int(measurements.number[frame]), int(measurements.row[column])
-
-
-def free_boxes(sequence: Sequence) -> F8:
-    """(Z,) the part of each measurement's box that no other of its frame covers."""
-    measurements = sequence.measurements
-    boxes = sequence.boxes
-    parts = [
-        free_parts(np.ascontiguousarray(boxes[begin:end]))
-        for begin, end in zip(measurements.start[:-1], measurements.start[1:], strict=True)
-    ]
-    return np.concatenate([np.zeros(0), *parts])
 
 
 def _returns(
