@@ -584,6 +584,8 @@ class MeasurementHistory:
     row, class_id, score : (Z,) of the detections that were measured, see `Detections`; without
         them all detections of a frame were measured, and class and score are 0.
     embeddings : (Z, D) what each looks like, zeros where it is not known; (0, 0) without.
+    pace : (F,) how fast the model's time ran before each frame, 1 as fast as the clock; without it
+        it always did.
     """
 
     number: I8
@@ -595,15 +597,28 @@ class MeasurementHistory:
     class_id: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     score: F8 = field(default_factory=lambda: np.zeros(0))
     embeddings: F4 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    pace: F8 = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         count = self.z.shape[1]
+        if len(self.pace) != len(self.time):
+            object.__setattr__(self, "pace", np.ones(len(self.time)))
         if len(self.row) != count:
             first = np.repeat(self.start[:-1], np.diff(self.start))
             object.__setattr__(self, "row", np.arange(count) - first)
         if len(self.score) != count:
             object.__setattr__(self, "class_id", np.zeros(count, np.int64))
             object.__setattr__(self, "score", np.zeros(count))
+
+    def seconds(self, rate: float) -> F8:
+        """(F,) the seconds of the frames by the clock, of the first one 0.
+
+        Parameters
+        ----------
+        rate : of the model's time units a second of its time.
+        """
+        steps = np.diff(self.time, prepend=self.time[:1]) / (rate * self.pace)
+        return np.cumsum(steps)
 
     def columns(self, tracks: Tracks) -> I8:
         """(M,) the column of the detection that each row of the tracks rests on, −1 for none."""

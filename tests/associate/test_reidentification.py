@@ -11,6 +11,7 @@ import pytest
 
 from appearance_cases import (
     FPS,
+    SIZE,
     D,
     frame_of,
     identity_of,
@@ -149,6 +150,41 @@ def test_identities_are_given_back_within_a_time(within: float, known: bool):
     assert (identity_of(rows[-1], 0) == identity_of(rows[LEARNED - 1], 0)) == known
     assert len(given_back(tracker)) == known
     assert (len(np.unique(tracker.tracks().identity)) == len(PEOPLE)) == known
+
+
+@pytest.mark.parametrize("fps", [1.0, 0.2])
+@pytest.mark.parametrize(("share", "known"), [(1.5, True), (0.5, False)])
+def test_the_time_of_slow_streams_is_in_seconds(fps: float, share: float, known: bool):
+    """Also in corrected tracks, whose filter's time runs slower. 30 frames are 30 or 150 s."""
+    within = share * 30 / fps
+    tracker = Tracker(SIZE, fps=fps, appearance={"reidentify_within": within})
+    for found in scene((LEARNED, LEARNED + 30), frames=LEARNED + 70):
+        tracker.update(found)
+    joined = len(np.unique(tracker.tracks().identity)) == len(PEOPLE)
+    if fps == 1.0:
+        assert joined == known
+    else:
+        # After 150 s the odds decide, but nothing is joined past the limit.
+        assert known or not joined
+
+
+def test_seconds_of_frames_follow_the_clock():
+    """Whatever the filter's time does: at a steady rate, with pauses, with frames left out."""
+    for steps in ([2.0] * 8, [0.04] * 8, [1.0, 3.0, 0.5, 60.0, 2.0, 2.0, 7.0, 1.0]):
+        times = np.cumsum(steps)
+        for unobserved in (False, True):
+            tracker = Tracker(SIZE, fps=25)
+            for k, time in enumerate(times.tolist()):
+                found = frame_of(PEOPLE, k, LOOKS)
+                if unobserved and k % 3 == 2:
+                    found = Detections.empty(observed=False)
+                tracker.update(found, timestamp=time)
+            stages = tracker.stages
+            history = stages.associator.measurements(tracker.state.association)
+            seconds = history.seconds(stages.model.rate)
+            observed = np.diff(history.start) > 0
+            expected = times[history.number - 1] - times[0]
+            np.testing.assert_allclose(seconds[observed], expected[observed], rtol=1e-9)
 
 
 def test_corrected_tracks_without_smoothing_have_returns():

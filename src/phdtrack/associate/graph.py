@@ -270,6 +270,7 @@ class GraphMatching(Checked):
             detections.confidence,
             model.warp,
             detections.observed,
+            pace=model.pace,
         )
         history = state.history.followed_by(moment)
         if history is state.history:

@@ -51,6 +51,8 @@ class Moment:
         own pixels.
     observed : whether a detector ran. If not, the states are predicted from the frame that was
         observed before, and nothing is learned of them.
+    embeddings : (N, D) of the detections; (0, 0) without.
+    pace : how fast the model's time has run since the last observed frame (`Model.pace`).
     """
 
     number: int
@@ -65,6 +67,7 @@ class Moment:
     warp: F8 = field(default_factory=lambda: STILL)
     observed: bool = True
     embeddings: F4 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    pace: float = 1.0
 
     @property
     def rows(self) -> I8:
@@ -245,7 +248,17 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
         np.concatenate([np.zeros(0, np.int64), *(m.class_id[index] for m, index in each)]),
         np.concatenate([np.zeros(0), *(m.score[index] for m, index in each)]),
         _embeddings([(m.embeddings, index) for m, index in each]),
+        _pace(held),
     )
+
+
+def _pace(moments: list[Moment]) -> F8:
+    """(F,) `Moment.pace` of each; of one that was not observed that of the next that was."""
+    pace = np.array([m.pace for m in moments])
+    for k in range(len(moments) - 2, -1, -1):
+        if not moments[k].observed:
+            pace[k] = pace[k + 1]
+    return pace
 
 
 def _embeddings(each: list[tuple[F4, I8]]) -> F4:

@@ -231,6 +231,7 @@ class Labelled(Checked):
                 model.warp,
                 detections.observed,
                 _NO_LOOKS if detections.embeddings is None else detections.embeddings,
+                model.pace,
             ),
         )
         recent = [*observed, *timed]

@@ -49,8 +49,8 @@ class SequenceLooks:
         free = np.concatenate(
             [free_parts(np.ascontiguousarray(boxes[begin:end])) for begin, end in frames]
         )
-        steps = np.diff(measurements.time)
-        interval = float(np.median(steps)) / rate if len(steps) else 0.0
+        steps = np.diff(measurements.seconds(rate))
+        interval = float(np.median(steps)) if len(steps) else 0.0
         return cls(unit, free * (length > 0), looks, interval)
 
     def independent(self, count: F8) -> F8:

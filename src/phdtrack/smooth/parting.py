@@ -35,7 +35,7 @@ def parted(tracks: Tracks, paths: Paths, sequence: Sequence) -> Tracks:
     if known is None or known.frame.law.means_weight <= 0:
         return tracks
     measurements = sequence.measurements
-    time = measurements.time / sequence.rate
+    time = measurements.seconds(sequence.rate)
     identity = tracks.identity.copy()
     kept = np.ones(len(tracks), np.bool_)
     fresh = int(identity.max(initial=0))

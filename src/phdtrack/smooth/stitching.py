@@ -169,7 +169,7 @@ def _ends(paths: Paths, sequence: Sequence) -> _Ends | None:
         return None
     seen = np.flatnonzero(paths.measurement >= 0)
     column = paths.measurement[seen]
-    seconds = sequence.measurements.time / sequence.rate
+    seconds = sequence.measurements.seconds(sequence.rate)
     time = seconds[paths.frame[seen]]
     path = paths.path[seen]
     first = seconds[paths.frame[paths.first]]
@@ -194,7 +194,7 @@ def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tup
     if ends is None or len(paths) < 2:
         return []
     measurements = sequence.measurements
-    time = measurements.time / sequence.rate
+    time = measurements.seconds(sequence.rate)
     first = paths.measurement[paths.first]
     last = paths.measurement[paths.last]
     begin = time[paths.frame[paths.first]]
