@@ -197,6 +197,41 @@ def test_errors_by_cause(truth: Path) -> None:
     assert "most misses" not in brief
 
 
+def test_errors_of_identity(truth: Path) -> None:
+    """The two walkers' tracks exchange them at frame 31; the second one's has another name in the
+    first ten frames.
+    """
+
+    def name(row: list[str]) -> list[str]:
+        frame = int(row[0])
+        other = {"1": "2", "2": "1"}[row[1]]
+        if row[1] == "2" and frame <= 10:
+            other = "3"
+        return [row[0], other if frame > 30 or other == "3" else row[1], *row[2:]]
+
+    asked = ("evaluate", "--truth", truth, "--tracks", changed(truth, name), "--errors")
+    found = phdtrack(*asked, "--json").object
+    assert found["errors"]["identity"] == {"swaps": 1, "transfers": 0, "breaks": 1}
+    assert found["id_switches"] == 3
+    worst = found["errors"]["worst_identity"]
+    assert [(each["kind"], each["frame"], each["boxes"]) for each in worst] == [
+        ("swap", 31, 20),
+        ("break", 11, 10),
+    ]
+    assert (sorted(worst[0]["objects"]), sorted(worst[0]["tracks"])) == ([1, 2], [1, 2])
+    assert (worst[1]["objects"], worst[1]["tracks"]) == ([2], [3, 2])
+    lines = [line.split() for line in phdtrack(*asked).out.splitlines()]
+    place = lines.index(["swaps", "transfers", "breaks"])
+    assert lines[place + 1] == ["1", "0", "1"]
+    assert ["break", "11", "2", "3", "to", "2", "10"] in lines
+    assert ["swap", "31"] in [line[:2] for line in lines]
+    labelled = phdtrack(*asked, "--labelled", "1,9,11,21,31,40", "--json").object
+    frames = [each["frame"] for each in labelled["errors"]["worst_identity"]]
+    assert sorted(frames) == [11, 31]
+    brief = phdtrack(*asked, "--worst", 0).out
+    assert "The worst of them" not in brief
+
+
 def test_detections_without_errors_are_refused(tmp_path: Path) -> None:
     given = ("--truth", tmp_path / "gt.txt", "--tracks", tmp_path / "tracks.csv")
     for more in (("--detections", tmp_path / "none.txt"), ("--worst", 3)):

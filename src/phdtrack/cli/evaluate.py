@@ -14,7 +14,14 @@ from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
 from phdtrack.errors import InputError
 from phdtrack.formats import Conventions, read_detections
-from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
+from phdtrack.metrics import (
+    Errors,
+    IdentityError,
+    Scores,
+    explain,
+    rmse_per_target,
+    tgospa_boxes,
+)
 from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.causes import FALSE, PLACES
 from phdtrack.metrics.labelled import detections_in_frames
@@ -57,7 +64,7 @@ class EvaluateOptions:
     ] = False
     errors: Annotated[
         bool,
-        typer.Option("--errors", help="Misses and false boxes by cause, and the worst tracks."),
+        typer.Option("--errors", help="Misses, false boxes and swaps by cause; the worst."),
     ] = False
     detections: Annotated[
         Path | None, option("FILE", "For --errors: the detections that were tracked.")
@@ -137,6 +144,8 @@ def _errors(
         if len(files.labelled):
             detections = detections_in_frames(detections, files.labelled)
     errors = explain(files.truth, files.tracks, detections, frames=frames, iou=iou)
+    if len(files.labelled):
+        errors = errors.in_frames(files.labelled)
     error_tables(output, errors, asked.worst)
     return errors.as_dict(asked.worst)
 
@@ -240,6 +249,30 @@ def error_tables(out: Output, errors: Errors, worst: int) -> None:
     _table_of(
         out, title, ["track", "boxes", "false", *FALSE, "last"], tracks, errors.worst_tracks(worst)
     )
+    identity_table(out, errors, worst)
+
+
+def identity_table(out: Output, errors: Errors, worst: int) -> None:
+    """Print how many errors of identity there are of each kind, and the ``worst`` of them."""
+    sums = errors.identity_sums()
+    out.say("", "Errors of identity:")
+    out.table(list(sums), [[str(count) for count in sums.values()]], words=())
+    chosen = errors.worst_identity(worst)
+    if chosen:
+        rows = [
+            [each.kind, str(each.frame), _names(each, each.objects), _names(each, each.tracks)]
+            for each in chosen
+        ]
+        title = "The worst of them, and how many boxes each takes out of their identity:"
+        out.say("", title)
+        table = [[*row, str(each.boxes)] for row, each in zip(rows, chosen, strict=True)]
+        out.table(["error", "frame", "object", "track", "boxes"], table, words=(0, 2, 3))
+
+
+def _names(error: IdentityError, identities: Sequence[int]) -> str:
+    """The identities of one side of an error, as ``3 and 4`` or ``3 to 4``."""
+    word = " and " if error.kind == "swap" else " to "
+    return word.join(str(each) for each in identities)
 
 
 def _table_of(

@@ -20,18 +20,21 @@ A false positive is the first of
 * clutter: all others. The track follows false alarms, or an object without annotation.
 
 Without detections all misses have the first cause, and a ghost must overlap no true box by .1.
+Errors of identity are defined in `identity_errors`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from phdtrack.arrays import iou as overlaps
+from phdtrack.metrics.identity_errors import KINDS, IdentityError, identity_errors
 from phdtrack.metrics.matching import (
     ROUNDING,
+    Matches,
     SequencePair,
     above,
     check_threshold,
@@ -62,6 +65,7 @@ class Errors:
     last, track_last : (G,), (O,) the last frame in which each is mapped, 0 for never.
     ignored : number of output boxes that were matched to distractors or lie in ignored regions.
     detected : True if detections were given; otherwise all misses have the first cause.
+    identity : errors of identity, frames ascending.
     """
 
     misses: I8
@@ -74,6 +78,7 @@ class Errors:
     track_last: I8
     ignored: int
     detected: bool
+    identity: tuple[IdentityError, ...] = ()
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -96,8 +101,28 @@ class Errors:
         """Indices of at most ``number`` tracks with false positives, most first."""
         return _most(self.false.sum(axis=1), number)
 
+    def identity_sums(self) -> dict[str, int]:
+        """The number of errors of identity of each kind: ``swaps``, ``transfers``, ``breaks``."""
+        return {f"{kind}s": sum(each.kind == kind for each in self.identity) for kind in KINDS}
+
+    def worst_identity(self, number: int) -> list[IdentityError]:
+        """At most ``number`` errors of identity, those with most boxes first."""
+        return sorted(self.identity, key=lambda each: -each.boxes)[:number]
+
+    def in_frames(self, numbers: I8) -> Errors:
+        """The errors of frames that were numbered from 1, with their own ``numbers``."""
+        known = np.append(0, numbers)
+        return replace(
+            self,
+            last=known[self.last],
+            track_last=known[self.track_last],
+            identity=tuple(each._replace(frame=int(known[each.frame])) for each in self.identity),
+        )
+
     def as_dict(self, worst: int) -> dict[str, object]:
-        """The sums, and at most ``worst`` objects and tracks with most errors, for JSON."""
+        """The sums, and at most ``worst`` objects and tracks with most errors and errors of
+        identity, for JSON.
+        """
         misses = self.misses.sum(axis=0).tolist()
         false = self.false.sum(axis=0).tolist()
         objects = [
@@ -124,6 +149,8 @@ class Errors:
             "ignored": self.ignored,
             "worst_objects": objects,
             "worst_tracks": tracks,
+            "identity": self.identity_sums(),
+            "worst_identity": [each._asdict() for each in self.worst_identity(worst)],
         }
 
     def _by_cause(self, table: list[list[int]]) -> dict[str, dict[str, int]]:
@@ -190,7 +217,8 @@ def explain(
     """
     check_threshold(iou)
     sequence = pair_frames(truth, tracks, frames)
-    true, output = _sides(sequence, (truth.xyxy, tracks.xyxy), detections, iou)
+    mapping = tracking_mapping(sequence, iou)
+    true, output = _sides(sequence, mapping, (truth.xyxy, tracks.xyxy), detections, iou)
     objects = len(sequence.truth_identity)
     outputs = len(sequence.output_identity)
     first, last = true.mapped_span(objects)
@@ -233,14 +261,18 @@ def explain(
         track_last=track_last,
         ignored=sequence.ignored,
         detected=detections is not None,
+        identity=identity_errors(sequence, mapping),
     )
 
 
 def _sides(
-    sequence: SequencePair, xyxy: tuple[F8, F8], detections: DetectionTable | None, iou: float
+    sequence: SequencePair,
+    mapping: Matches,
+    xyxy: tuple[F8, F8],
+    detections: DetectionTable | None,
+    iou: float,
 ) -> tuple[_Rows, _Rows]:
     """The true and the output boxes; the pairs refer to the rows of ``xyxy``."""
-    mapping = tracking_mapping(sequence, iou)
     edges = np.searchsorted(mapping.position, np.arange(len(sequence.pairs) + 1))
     true = [_NO_ROWS]
     output = [_NO_ROWS]
