@@ -24,6 +24,7 @@ from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import (
     F8,
     STILL,
+    Appeared,
     Detections,
     DividedDetections,
     Estimates,
@@ -171,6 +172,7 @@ def advance(
         (updated - began, extracted - updated, clock.perf_counter() - extracted),
         int(np.count_nonzero(~usable)),
         _since_last(state.moved, model.warp),
+        _appeared(model, estimates, info),
     )
 
     # Learn
@@ -263,6 +265,13 @@ def _with_looks(
         return state.appearance, model
     appearance, looks = stages.appearance.looks(state.appearance, measured, time)
     return appearance, replace(model, appearance=looks)
+
+
+def _appeared(model: Model, estimates: Estimates, info: UpdateInfo) -> tuple[Appeared, ...]:
+    """`Step.appeared`."""
+    if model.appearance is None:
+        return ()
+    return (Appeared(model.appearance, estimates, info.sure),)
 
 
 def _explained(
@@ -416,6 +425,7 @@ def merged(steps: Sequence[Step], detections: Detections) -> Step:
         tuple(np.sum([step.seconds for step in steps], axis=0).tolist()),
         sum(step.unusable for step in steps),
         first.warp,
+        tuple(each for step in steps for each in step.appeared),
     )
 
 

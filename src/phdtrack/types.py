@@ -20,12 +20,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from phdtrack.errors import needed
+
+if TYPE_CHECKING:
+    from phdtrack.kernels.appearance import Looks
 
 F8 = NDArray[np.float64]
 F4 = NDArray[np.float32]
@@ -761,6 +764,18 @@ class Tracks:
         return ((int(i), box) for i, box in zip(self.identity, self.xyxy, strict=True))
 
 
+class Appeared(NamedTuple):
+    """The looks of the measurements and the targets of a frame, as a pipeline sees them.
+
+    ``looks``: of the measurements, and what similarity says. ``estimates``: the targets, each with
+    its measurement. ``sure``: see `UpdateInfo.sure`.
+    """
+
+    looks: Looks
+    estimates: Estimates
+    sure: I8
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """Everything that one frame brought: what a pipeline yields and what sinks and reports read.
@@ -769,7 +784,8 @@ class Step:
     belong to an earlier one. ``seconds`` (filter, extract, associate) is the time each stage took.
     ``unusable`` counts the detections that tell nothing of any state, as one whose foot is above
     the horizon: no row rests on them. ``warp`` (3, 3) is the camera's motion since the frame
-    before, observed or not; `STILL` for none.
+    before, observed or not; `STILL` for none. ``appeared`` is what targets and detections look
+    like, one of each pipeline that knows it.
     """
 
     number: int
@@ -781,3 +797,4 @@ class Step:
     seconds: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
     unusable: int = 0
     warp: F8 = field(default_factory=lambda: STILL)
+    appeared: tuple[Appeared, ...] = ()

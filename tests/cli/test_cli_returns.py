@@ -73,6 +73,7 @@ def test_run_json_lists_identities_given_back(files: tuple[Path, Path], tmp_path
     assert pair["last_frame"] == LEFT - 1
     assert BACK <= pair["frame"] < BACK + FPS
     assert pair["odds"] > 1
+    assert pair["seconds"] == pytest.approx((pair["frame"] - pair["last_frame"]) / FPS)
     rows = read_tracks(tmp_path / "run" / "tracks_online.csv")
     frames = rows.frame[rows.identity == pair["identity"]]
     assert frames.min() < LEFT
@@ -108,6 +109,27 @@ def test_nobody_comes_back_later_than_the_limit(
 
 def test_without_appearance_there_is_no_list(files: tuple[Path, Path], tmp_path: Path) -> None:
     assert given_back(files, tmp_path / "run") is None
+    document = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert "appearance" not in document
+    assert "tell two objects apart" not in " ".join(document["summary"])
+
+
+def test_a_run_tells_what_appearance_was_worth(files: tuple[Path, Path], tmp_path: Path) -> None:
+    """On the terminal in one sentence, with another for who came back; in the report."""
+    out = tmp_path / "run"
+    said = phdtrack(
+        *("track", "--detections", files[0], "--frame-size", "640x480", "--fps", FPS),
+        *("--out", out, "--appearance", files[1]),
+    )
+    assert (
+        "Embeddings tell two objects apart in more than 99 of 100 pairs, 2\u00a0s later" in said.out
+    )
+    assert "1 object came back and has its identity again; run.json lists it with its" in said.out
+    worth = json.loads((out / "run.json").read_text())["appearance"]
+    assert worth["source"] == str(files[1])
+    assert worth["told_apart"] > 0.99
+    assert worth["nats_of_taken_detections"] > 0.5
+    assert "<h2>Appearance</h2>" in (out / "report.html").read_text()
 
 
 def test_limit_is_in_seconds(files: tuple[Path, Path], tmp_path: Path) -> None:

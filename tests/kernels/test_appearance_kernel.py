@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +20,7 @@ from phdtrack.kernels.appearance import (
     pair_ratios,
     plain,
     remembered,
+    typical_ratios,
 )
 from phdtrack.kernels.appearance_lessons import Followed, Lessons, taught
 from phdtrack.kernels.gaussian import PAIR
@@ -198,6 +200,24 @@ def test_likeness_is_its_definition(seed: int, n: int, m: int, size: int):
         for a, b in zip(before, after, strict=True)
     ]
     found = likeness(mean, count, before, after, plain(looks))
+    np.testing.assert_allclose(found, np.array(wanted), rtol=1e-3, atol=2e-3)
+
+
+@settings(max_examples=40)
+@given(SEEDS, st.integers(0, 4), st.integers(0, 4), LENGTHS)
+def test_typical_ratios_are_those_of_pairs(seed: int, n: int, m: int, size: int):
+    """Of targets that were seen once, and did not look odd."""
+    rng = np.random.default_rng(seed)
+    looks = a_frame(rng, m, size)
+    pasts = [replace(one, odd=0.0) for one in some_pasts(rng, n, size, looks)]
+    pasts = [
+        replace(one, time=one.time[-1:], free=one.free[-1:], look=one.look[-1:]) for one in pasts
+    ]
+    before, measurement = np.indices((n, m)).reshape(2, -1)
+    wanted = [twin.pair_ratio(pasts[h], j, looks) for h, j in zip(before, measurement, strict=True)]
+    known = as_arrays(pasts, size, looks.memory)
+    past = known.mean, known.number, known.time
+    found = typical_ratios(past, before, measurement, plain(looks))
     np.testing.assert_allclose(found, np.array(wanted), rtol=1e-3, atol=2e-3)
 
 

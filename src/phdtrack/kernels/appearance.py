@@ -236,6 +236,27 @@ def _of_pair(
 
 
 @njit(**ENTRY)
+def typical_ratios(past: tuple[F4, F8, F8], before: I8, measurement: I8, looks: Looks) -> F8:
+    """(P,) the log-likelihood ratios of targets ``before`` and measurements (P,) [APP (2)], if none
+    of the targets looked odd when it was last seen.
+
+    ``past``: as of `Pasts` the mean (M, D), ``number`` and ``time`` (M,).
+    """
+    looks = named(looks)
+    mean, number, time = past
+    out = np.zeros(before.size)
+    direction = directions(mean, looks.mean)
+    for q in range(before.size):
+        h = before[q]
+        j = measurement[q]
+        if number[h] > 0.0 and looks.free[j] > 0.0:
+            s = similarity_of(direction, h, looks.seen, j)
+            ratio, _ = _likelihoods(s, s, looks.time - time[h], number[h], 0.0, looks.law)
+            out[q] = looks.law.weight * looks.free[j] * math.log(ratio)
+    return out
+
+
+@njit(**ENTRY)
 def likeness(mean: F4, number: F8, before: I8, after: I8, looks: Looks) -> F8:
     """(P,) log p(s | the same object)/p(s | another object) of two means each, ``before`` and
     ``after`` (P,), s their similarity [APP (5)]; 0 where one of them is not known.

@@ -21,6 +21,7 @@ import numpy as np
 from markupsafe import Markup
 
 from phdtrack.errors import needed
+from phdtrack.report.appearance_worth import AppearanceWorth
 from phdtrack.report.drawing import feet, identity_colour
 from phdtrack.report.record import RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
@@ -249,6 +250,28 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
         axes.annotate("", xy=tuple(start + path), xytext=tuple(start), arrowprops=style)
     axes.set(xlim=(0, width), ylim=(height, 0))
     return _over_scene(axes, image, darkness=0.5)
+
+
+def similarity_chart(worth: AppearanceWorth) -> Picture:
+    """How similar objects look to themselves and to each other: pairs counted, and the densities
+    that were learned.
+    """
+    axes = _axes(2.8, "similarity", "share of pairs")
+    edges = worth.edges
+    x = np.linspace(-1, 1, 401)
+    width = float(edges[1] - edges[0])
+    seen = np.flatnonzero(worth.same + worth.other)
+    sides = (
+        (worth.same, _BLUE, "the same object"),
+        (worth.other, _ORANGE, "two objects"),
+    )
+    for (pairs, colour, label), curve in zip(sides, worth.curves(x), strict=True):
+        share = pairs / max(int(pairs.sum()), 1)
+        axes.stairs(share, edges, fill=True, color=colour, alpha=0.35, label=label)
+        axes.plot(x, width * curve, color=colour, linewidth=1.5)
+    if len(seen):
+        axes.set_xlim(float(edges[seen[0]]) - 0.1, min(float(edges[seen[-1] + 1]) + 0.1, 1.0))
+    return _chart(axes, bottom=0)
 
 
 def share_picture(shares: F8, size: tuple[int, int], image: Image) -> Picture:

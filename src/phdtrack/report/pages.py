@@ -58,7 +58,10 @@ def environment() -> Environment:
     made.globals["charts"] = charts
     made.filters |= {
         function.__name__: function
-        for function in (grouped, counted, duration, percent, rate, score, known_mean)
+        for function in (
+            *(grouped, counted, duration, seconds, nats, odds, percent, rate, score, spread),
+            known_mean,
+        )
     }
     return made
 
@@ -192,6 +195,31 @@ def percent(part: float, whole: float = 1.0) -> str:
     share = 100 * part / whole
     decimals = 1 if 0 < share < 10 else 0
     return f"{share:.{decimals}f}{_NBSP}%"
+
+
+def seconds(time: float) -> str:
+    """A time such as "0.5 s", "2 s", and as `duration` from a minute on."""
+    if time < 59.5:
+        return f"{time:.2g}{_NBSP}s"
+    return duration(time)
+
+
+def nats(value: float) -> str:
+    """A log-likelihood ratio with its sign; a dash if it is not known."""
+    if not math.isfinite(value):
+        return "–"
+    return f"{value:+.2f}{_NBSP}nats".replace("-", "−")
+
+
+def spread(values: tuple[float, float]) -> str:
+    """A mean and a standard deviation such as "0.85 ± 0.17"."""
+    mean, deviation = values
+    return f"{mean:.2f}{_NBSP}±{_NBSP}{deviation:.2f}".replace("-", "−")
+
+
+def odds(number: float) -> str:
+    """Odds such as "12:1", with a decimal below 10."""
+    return f"{number:.1f}:1" if number < 9.95 else f"{grouped(min(number, 1e6))}:1"
 
 
 def rate(number: float) -> str:

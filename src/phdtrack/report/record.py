@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from phdtrack.arrays import pixelated
+from phdtrack.report.appearance_worth import AppearanceRecorder, AppearanceWorth
 from phdtrack.report.doubtful_tracks import DoubtfulTracks
 from phdtrack.types import F8, I8, Frame, Image, SequenceInfo, Step, Tracks, Truth
 
@@ -137,6 +138,7 @@ class RunRecord:
     names : names of the classes; None without classes.
     doubtful : how many boxes are in doubtful tracks; None if the detector reports objects, not
         moving regions.
+    appearance : what appearance was worth; None without a source of it.
     """
 
     info: SequenceInfo
@@ -155,6 +157,7 @@ class RunRecord:
     track_count: I8
     names: Mapping[int, str] | None = None
     doubtful: DoubtfulTracks | None = None
+    appearance: AppearanceWorth | None = None
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -212,7 +215,7 @@ class Recorder:
     The picture is that of the last of the 1st, 2nd, 4th, 8th, … frames. ``truth`` is None without
     annotations. If ``most`` is given, only that many of the last frames are kept, and corrected
     rows must be passed to `count` when they are final. ``blur`` (`arrays.pixelated`) hides boxes of
-    detections, estimates and tracks.
+    detections, estimates and tracks. ``appearance`` takes in what boxes look like.
     """
 
     def __init__(
@@ -235,6 +238,7 @@ class Recorder:
         # The picture that is kept, and the number of its frame.
         self._picture = NO_IMAGE
         self._pictured = 0
+        self.appearance = AppearanceRecorder()
 
     def add(self, frame: Frame | None, step: Step, detect_seconds: float) -> None:
         """Add one frame.
@@ -262,6 +266,7 @@ class Recorder:
             false_alarms=whole.false_alarms + float(np.nan_to_num(false)),
             observed=whole.observed + step.detections.observed,
         )
+        self.appearance.see(step.appeared)
         if not step.detections.observed:
             self._unobserved.append(step.number)
         if frame is not None and self._whole.frames.bit_count() == 1:

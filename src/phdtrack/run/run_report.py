@@ -11,7 +11,7 @@ import numpy as np
 
 from phdtrack.detect.scene_knowledge import scene_warnings
 from phdtrack.files import write_text
-from phdtrack.report import report_html, run_document, sentences, write_run
+from phdtrack.report import RunRecord, report_html, run_document, sentences, write_run
 from phdtrack.report.pages import doubts, lines
 from phdtrack.run import directory as rundir
 from phdtrack.run.confirmation import confirmation
@@ -19,7 +19,6 @@ from phdtrack.run.directory import RunDirectory
 from phdtrack.run.running import Progress, Run
 from phdtrack.run.scene_pass import SceneLesson
 from phdtrack.run.scoring import RunScores
-from phdtrack.tracker import Tracker
 from phdtrack.types import Tracks
 
 if TYPE_CHECKING:
@@ -72,6 +71,11 @@ def write_report(
     record = replace(progress.recorder.record(tracks, options.about), names=run.names)
     if progress.signs is not None:
         record = replace(record, doubtful=progress.signs.result())
+    if run.inputs.descriptors.name:
+        worth = progress.recorder.appearance.worth(
+            run.inputs.descriptors.name, progress.tracker.returns, record.numbers, record.times
+        )
+        record = replace(record, appearance=worth)
     confirmed = _confirmation(run, progress)
     wrong = scene_warnings(run.inputs.detector)
     if scores is None or scores.MOTA < GOOD_MOTA:
@@ -98,7 +102,7 @@ def write_report(
         write_text(run.directory.file(rundir.REPORT), page)
     complete = progress.ended is None
     document = run_document(record, configuration) | {"complete": complete} | inputs
-    document |= _told(run, progress)
+    document |= _told(progress, record)
     with progress.writing():
         more = [report.document for report in reports]
         document = finish_document(document, run.directory, *more)
@@ -114,31 +118,19 @@ def write_report(
     return document, tuple(summary), (*about.warnings, *unwritten)
 
 
-def _told(run: Run, progress: Progress) -> dict[str, object]:
+def _told(progress: Progress, record: RunRecord) -> dict[str, object]:
     """Events of the run, for run.json."""
     told: dict[str, object] = {"boxes_left_out": progress.tracker.left_out._asdict()}
-    if run.inputs.descriptors.name:
-        told["identities_given_back"] = _given_back(progress.tracker)
+    if record.appearance is not None:
+        told["appearance"] = record.appearance.as_dict()
+        told["identities_given_back"] = [
+            each._replace(odds=round(each.odds, 2))._asdict() for each in record.appearance.returns
+        ]
     if progress.resumed:
         told["resumed_from_frame"] = progress.resumed
     if progress.reused:
         told["detections_reused"] = progress.reused
     return told
-
-
-def _given_back(tracker: Tracker) -> list[dict[str, object]]:
-    """Identities that online rows took again: the last frame in which the target was detected
-    before, the first one in which it is confirmed after, and the odds for one target against two.
-    """
-    return [
-        {
-            "identity": each.identity,
-            "last_frame": each.ended[0],
-            "frame": each.began[0],
-            "odds": round(each.odds, 2),
-        }
-        for each in tracker.returns
-    ]
 
 
 def finish_document(
