@@ -21,7 +21,7 @@ from appearance_cases import (
 )
 from phdtrack import Tracker
 from phdtrack.associate import reidentification
-from phdtrack.associate.reidentification import Returns, nobody, remembering, taken
+from phdtrack.associate.reidentification import Returns, named, nobody, remembering, taken
 from phdtrack.kernels.appearance import UNKNOWN, Looks
 from phdtrack.models.returns import NEARBY, RETURN, RETURN_TIME, log_odds
 from phdtrack.models.track_returns import with_returns
@@ -337,7 +337,12 @@ def test_odds_are_by_bayes_rule(rng: np.random.Generator):
 def looks_at(time: float) -> Looks:
     """Of a frame, after lessons that told all from each other."""
     law = UNKNOWN._replace(
-        weight=1.0, means_weight=1.0, means_same=0.9, means_deviation=0.1, within=math.inf
+        weight=1.0,
+        means_weight=1.0,
+        means_same=0.9,
+        means_deviation=0.1,
+        means_other_deviation=0.3,
+        within=math.inf,
     )
     none = np.zeros((0, D), np.float32)
     return Looks(none, none, np.zeros(D, np.float32), np.zeros(0), law, time, 3.0)
@@ -382,6 +387,35 @@ def test_lost_targets_that_are_remembered_are_few(monkeypatch: pytest.MonkeyPatc
     for _ in range(9):
         state = taken(state, [pair])
     assert len(state.pairs) == 3
+
+
+def test_memory_is_bounded_with_thousands_of_targets():
+    """Five thousand come and go, a hundred at a time: the newest are remembered, the state does not
+    grow, and one of them is known again.
+    """
+    views = np.random.default_rng(0).normal(0, 1, (5000, D))
+    state = Returns()
+    sizes = list[int]()
+    time = 0.0
+    for k in range(50):
+        time = 1000.0 * k
+        labels = np.arange(100 * k, 100 * k + 100)
+        found = estimates(labels.tolist(), views[labels])
+        sure = np.ones(100, np.bool_)
+        state, _ = remembering(state, found, np.arange(100), (k + 1, time), looks_at(time), sure)
+        state = named(state, labels, 1 + labels)
+        sizes.append(len(to_bytes(state)))
+    held = 100 + reidentification.MOST_LOST
+    assert state.seen.label.tolist() == list(range(5000 - held, 5000))
+    assert max(sizes) < 1.1 * sizes[25] < 1e6
+    pairs = list[Return]()
+    for k in range(50, 53):
+        time += 1.0
+        found = estimates([5000], views[[4900]])
+        row = np.zeros(1, np.int64)
+        sure = np.ones(1, np.bool_)
+        state, pairs = remembering(state, found, row, (k + 1, time), looks_at(time), sure)
+    assert [pair.identity for pair in pairs] == [4901]
 
 
 def test_targets_of_another_descriptor_are_forgotten():

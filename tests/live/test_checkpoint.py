@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from camera_server import Clock
 
+from appearance_cases import FPS, SIZE, frame_of, prototypes
 from phdtrack.config import build_classes, load
 from phdtrack.live.checkpoint import LOST, NAME, Checkpoints
 from phdtrack.live.engine import Camera, CameraParts, CameraSettings
@@ -306,3 +307,67 @@ def test_it_is_written_beside_the_loop_when_it_is_due(tmp_path: Path) -> None:
     changed = [before != after for before, after in pairwise(written)]
     assert changed == [False, True, False, True]
     assert one.stop(10.0)
+
+
+PEOPLE = (0, 1, 2, 3, 4)
+LOOKS = prototypes(8)
+
+
+def described(folder: Path) -> Camera:
+    """A camera whose pictures name the frame of a scene, and who is in it; its detector knows what
+    they look like.
+    """
+
+    def make(info: SequenceInfo) -> CameraParts:
+        return CameraParts(detect, build_classes(load(None), info), info)  # type: ignore[arg-type]
+
+    def detect(frame: Any) -> Detections:
+        k = int(frame.image[0, 0, 0]) + 200 * int(frame.image[0, 0, 1])
+        return frame_of(np.flatnonzero(frame.image[1, :8, 0]).tolist(), k, LOOKS)
+
+    source: Any = SimpleNamespace(
+        status=lambda: SourceStatus(frames=100, fps=FPS), stop=lambda: None
+    )
+    settings = CameraSettings(folder, video=0, checkpoint=1e9)
+    return Camera("gate", source, make, settings, clock=Clock())
+
+
+def show_people(one: Camera, frames: range, people: tuple[int, ...]) -> None:
+    """Pictures of these people, ten a second, whose numbers and times begin anew with a camera."""
+    for number, k in enumerate(frames, start=one.frames + 1):
+        image = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+        image[0, 0, :2] = k % 200, k // 200
+        image[1, list(people), 0] = 1
+        one.process(LiveFrame(number, number / FPS, START + k / FPS, image))
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_who_left_before_a_restart_is_known_after_it(tmp_path: Path, killed: bool) -> None:
+    """Somebody leaves 3 s before the program ends, and comes back 4 s after it has started again;
+    another one, who was never there, is new.
+    """
+    first = described(tmp_path)
+    show_people(first, range(150), PEOPLE)
+    left = {int(row["identity"]) for row in rows(tmp_path) if row["confirmed"] == "1"}
+    show_people(first, range(150, 180), PEOPLE[1:])
+    assert first.returned == 0
+    if killed:
+        crashed(first)
+    else:
+        assert first.stop(10.0)
+    second = described(tmp_path)
+    show_people(second, range(230, 270), PEOPLE[1:])
+    assert second.problems == []
+    assert second.returned == 0
+    show_people(second, range(270, 300), (*PEOPLE, 6))
+    assert second.returned == 1
+    assert second.running is not None
+    (pair,) = second.running.tracker.returns
+    assert pair.identity in left
+    now = {int(row["identity"]) for row in rows(tmp_path)[-6:]}
+    assert pair.identity in now
+    assert second.stop(10.0)
+    third = described(tmp_path)
+    show_people(third, range(300, 303), PEOPLE)
+    assert third.returned == 0
+    assert third.stop(10.0)

@@ -159,6 +159,10 @@ def live(
         output.say(
             f"{one.name}: {counted(one.frames, 'frame')}, {events}: {directory.file(one.name)}"
         )
+        if one.returned:
+            back = counted(one.returned, "object came", "objects came")
+            word = "its identity" if one.returned == 1 else "their identities"
+            output.say(f"{one.name}: {back} back and got {word} again")
         output.warn([f"{one.name}: {sentence}" for sentence in one.left_out.sentences()])
     if cut:
         output.warn(

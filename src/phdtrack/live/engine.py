@@ -4,6 +4,7 @@ current state.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import Counter, deque
@@ -246,8 +247,10 @@ class Camera:
         self._latency = deque[float](maxlen=MAX_LATENCIES)
         self._begun = 0.0
         # Differences of the source's numbers and times and those of tracks, which go on after a
-        # restart; number, time and time of day of the last frame; the last one with rows.
+        # restart; the time of the last frame of the run before; number, time and time of day of the
+        # last frame; the last one with rows.
         self._ahead = (0, 0.0)
+        self._restored = -math.inf
         self._last = (0, 0.0, 0.0)
         self._finished = 0
         self.minutes = deque[Minute](maxlen=MINUTES)
@@ -320,6 +323,13 @@ class Camera:
         whole = self._open and not self.alive and not self._unwritten
         if self.settings.checkpoint and self._last[0] and whole:
             self.save(ended=True)
+
+    @property
+    def returned(self) -> int:
+        """The number of objects that have got their identities again since it was started."""
+        if self.running is None:
+            return 0
+        return sum(one.time > self._restored for one in self.running.tracker.returns)
 
     @property
     def alive(self) -> bool:
@@ -586,6 +596,7 @@ class Camera:
         if not ended or last > saved.number:
             tracker.skip_identities(highest - tracker.highest)
         interval = max(frame.wall - saved.wall, 1 / running.parts.info.fps)
+        self._restored = saved.time
         self._ahead = (
             max(saved.number, last) + 1 - frame.number,
             saved.time + interval - frame.time,
