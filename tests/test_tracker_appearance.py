@@ -67,6 +67,9 @@ def objects(k: int) -> dict[str, Any]:
     inner = SimpleNamespace(xyxy=found, conf=np.ones(2), cls=np.zeros(2), data=np.zeros((2, 6)))
     return {
         "supervision": SimpleNamespace(xyxy=found, confidence=None, class_id=None, data=data),
+        "supervision, listed": SimpleNamespace(
+            xyxy=found, confidence=None, class_id=None, data={"embeddings": list(looks(k))}
+        ),
         "ultralytics": SimpleNamespace(boxes=inner, embeddings=Tensor(looks(k))),
         "a list": [SimpleNamespace(boxes=inner, embeddings=looks(k).tolist())],
         "an object": SimpleNamespace(xyxy=found, embeddings=looks(k).astype(np.float64)),
@@ -82,6 +85,41 @@ def test_embeddings_come_in_all_forms(form: str) -> None:
         rows = plain.update(boxes(k), embeddings=looks(k))
         assert equal(rows, other.update(objects(k)[form]))
         np.testing.assert_array_equal(seen(other), looks(k))
+    assert equal(plain.tracks(), other.tracks())
+
+
+NO_BOX = np.zeros((0, 4), np.float32)
+NO_BOXES = SimpleNamespace(xyxy=NO_BOX, conf=np.zeros(0), cls=np.zeros(0), data=np.zeros((0, 6)))
+EMPTY = {
+    # As `Detections.empty()` of supervision, and what is left of others by a mask.
+    "supervision": SimpleNamespace(
+        xyxy=NO_BOX, confidence=np.zeros(0, np.float32), class_id=np.zeros(0, int), data={}
+    ),
+    "supervision, none left": SimpleNamespace(
+        xyxy=NO_BOX, confidence=None, class_id=None, data={"embeddings": np.zeros((0, D))}
+    ),
+    "supervision, listed": SimpleNamespace(
+        xyxy=NO_BOX, confidence=None, class_id=None, data={"embeddings": []}
+    ),
+    "ultralytics": SimpleNamespace(boxes=NO_BOXES, embeddings=None),
+    "ultralytics, none left": SimpleNamespace(
+        boxes=NO_BOXES, embeddings=Tensor(np.zeros((0, D), np.float32))
+    ),
+}
+
+
+@pytest.mark.parametrize("form", EMPTY)
+def test_empty_frames_come_in_all_forms(form: str) -> None:
+    """Among others with embeddings, also as the first one."""
+    plain = tracker_of()
+    other = tracker_of()
+    for k in range(12):
+        if k in (0, 6, 7):
+            rows = plain.update(NO_BOX)
+            assert equal(rows, other.update(EMPTY[form]))
+        else:
+            rows = plain.update(boxes(k), embeddings=looks(k))
+            assert equal(rows, other.update(objects(k)[form.partition(",")[0]]))
     assert equal(plain.tracks(), other.tracks())
 
 
