@@ -102,6 +102,25 @@ def test_colours_are_kept_beside_the_detections(scene: Path, given: Path) -> Non
         np.testing.assert_allclose(kept[rows].astype(np.float32), expected, atol=2e-2)
 
 
+def test_files_of_a_blurred_run_hold_descriptors_alone(
+    scene: Path, given: Path, tmp_path: Path
+) -> None:
+    """The same as without ``--blur``: shares of colours, a row for each detection, no picture."""
+    out = tmp_path / "run"
+    words = ("--detections", scene / "det" / "det.txt", "--appearance", "colours")
+    assert phdtrack(*track(scene, out), *words, "--blur", "boxes").status == 0
+    assert (out / EMBEDDINGS).read_bytes() == (given / EMBEDDINGS).read_bytes()
+    kept = np.load(out / EMBEDDINGS).astype(np.float64)
+    rows = len((out / "detections.csv").read_text().splitlines())
+    assert kept.shape == (rows, Colours().length)
+    np.testing.assert_allclose(np.square(kept).sum(axis=1), 1.0, atol=5e-3)
+    # Nothing else of the size of a picture: that of the report is hidden.
+    others = {path.suffix for path in out.iterdir() if path.is_file()}
+    assert others == {".csv", ".npy", ".html", ".json"}
+    document = (out / "run.json").read_text() + (out / "detections.csv").read_text()
+    assert "embeddings" not in document
+
+
 def test_a_loop_with_images_gives_the_same_tracks(scene: Path, given: Path) -> None:
     table = read_detections(scene / "det" / "det.txt")
     tracker = Tracker((320, 240), fps=25.0)
