@@ -187,6 +187,17 @@ def test_seconds_of_frames_follow_the_clock():
             np.testing.assert_allclose(seconds[observed], expected[observed], rtol=1e-9)
 
 
+def test_looks_are_forgotten_after_the_time_limit():
+    """Also while nobody is there: of those who have left, not of those who are hidden."""
+    tracker = tracker_of(appearance={"reidentify_within": 4.0})
+    sizes = []
+    for k in range(300):
+        tracker.update(frame_of(PEOPLE if k < LEARNED else (), k, LOOKS))
+        sizes.append(len(tracker.state.association.returns.seen.label))
+    assert sizes[LEARNED - 1] == sizes[LEARNED + 20] == len(PEOPLE)
+    assert sizes[-1] == 0
+
+
 def test_corrected_tracks_without_smoothing_have_returns():
     """Then those of the online rows are taken."""
     usual = tracker_of()

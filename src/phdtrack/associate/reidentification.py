@@ -116,10 +116,11 @@ def remembering(
     size = looks.raw.shape[1]
     if seen.mean.shape[1] != size:
         seen = nobody(size)
-    if not len(estimates.appearance_count):
-        return replace(state, begun=begun, seen=seen), []
-    now = np.flatnonzero((rows >= 0) & confirmed & (estimates.appearance_count > 0))
+    now = np.zeros(0, np.int64)
+    if len(estimates.appearance_count):
+        now = np.flatnonzero((rows >= 0) & confirmed & (estimates.appearance_count > 0))
     if not len(now):
+        seen = _still_of_use(seen, estimates.followed, time - looks.law.within)
         return replace(state, begun=begun, seen=seen), []
     box = estimates.xyxy[now]
     low = np.minimum(state.extent[:2], box[:, :2].min(axis=0))
