@@ -24,7 +24,7 @@ BINS = 100
 # those that are so far apart.
 SPANS = (0.2, 0.5, 2.0)
 ENOUGH = 50
-# Seconds between two pairs of one object, and the part of a box that must be free for one.
+# Seconds between two frames that are looked at, and the part of a box that must be free for a pair.
 PAUSE = 0.2
 LEAST_FREE = 0.5
 # Pairs, and the weight of the law, below which nothing was learned; and the share of pairs that are
@@ -155,11 +155,13 @@ class _Watched:
     since : by label of a target without doubt, the seconds since when it is.
     early : seconds, labels and means of some earlier frames.
     before : labels, means, their numbers, and seconds at the last detection, of the frame before.
+    weighed : seconds when detections were last weighed.
     """
 
     since: dict[int, float] = field(default_factory=dict)
     early: deque[tuple[float, I8, F4]] = field(default_factory=deque)
     before: tuple[I8, F4, F8, F8] | None = None
+    weighed: float = -math.inf
 
 
 class AppearanceRecorder:
@@ -272,7 +274,9 @@ class AppearanceRecorder:
         if before is not None and before[1].shape[1] == size:
             place, known = _places(before[0], estimates.tag)
             time[known & ~seen] = before[3][place[known & ~seen]]
-            if looks.law.weight > 0 and len(looks.free):
+            due = looks.time >= watched.weighed + PAUSE
+            if due and looks.law.weight > 0 and len(looks.free):
+                watched.weighed = looks.time
                 self._sum_up(one, before, np.flatnonzero(known), place)
         watched.before = (
             estimates.tag,
