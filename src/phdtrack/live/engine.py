@@ -249,8 +249,7 @@ class Camera:
         # Differences of the source's numbers and times and those of tracks, which go on after a
         # restart; the time of the last frame of the run before; number, time and time of day of the
         # last frame; the last one with rows.
-        self._ahead = (0, 0.0)
-        self._restored = -math.inf
+        self._ahead = (0, 0.0, -math.inf)
         self._last = (0, 0.0, 0.0)
         self._finished = 0
         self.minutes = deque[Minute](maxlen=MINUTES)
@@ -329,7 +328,8 @@ class Camera:
         """The number of objects that have got their identities again since it was started."""
         if self.running is None:
             return 0
-        return sum(one.time > self._restored for one in self.running.tracker.returns)
+        before = self._ahead[2]
+        return sum(one.time > before for one in self.running.tracker.returns)
 
     @property
     def alive(self) -> bool:
@@ -596,10 +596,10 @@ class Camera:
         if not ended or last > saved.number:
             tracker.skip_identities(highest - tracker.highest)
         interval = max(frame.wall - saved.wall, 1 / running.parts.info.fps)
-        self._restored = saved.time
         self._ahead = (
             max(saved.number, last) + 1 - frame.number,
             saved.time + interval - frame.time,
+            saved.time,
         )
         watch, _ = self.watched
         self.watched = (watch, watch.carried(known.state, replace(watch, places=known.places)))
