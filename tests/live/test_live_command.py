@@ -183,6 +183,28 @@ def test_it_ends_by_itself_and_says_what_it_did(tmp_path: Path) -> None:
     assert not (tmp_path / "gate" / "video").exists()
 
 
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [
+        (0, ""),
+        (1, "gate: 1 object came back and got its identity again"),
+        (3, "gate: 3 objects came back and got their identities again"),
+    ],
+)
+def test_it_says_how_many_came_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, words: str
+) -> None:
+    monkeypatch.setattr(Camera, "returned", property(lambda one: count))
+    camera = CameraServer()
+    camera.mute = True
+    options = ("--no-page", "--duration", "0.5", "--video", "0")
+    status, said = invoked(f"gate={camera.url}", "--out", str(tmp_path), *options)
+    camera.kill()
+    assert status == 0, said
+    assert words in said
+    assert ("came back" in said) == (count > 0)
+
+
 def test_nobody_else_writes_into_its_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

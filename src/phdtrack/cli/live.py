@@ -159,10 +159,12 @@ def live(
         output.say(
             f"{one.name}: {counted(one.frames, 'frame')}, {events}: {directory.file(one.name)}"
         )
-        if one.returned:
-            back = counted(one.returned, "object came", "objects came")
-            word = "its identity" if one.returned == 1 else "their identities"
-            output.say(f"{one.name}: {back} back and got {word} again")
+        if one.returned == 1:
+            output.say(f"{one.name}: 1 object came back and got its identity again")
+        elif one.returned:
+            output.say(
+                f"{one.name}: {one.returned} objects came back and got their identities again"
+            )
         output.warn([f"{one.name}: {sentence}" for sentence in one.left_out.sentences()])
     if cut:
         output.warn(
