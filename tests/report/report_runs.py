@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from phdtrack.kernels.appearance import UNKNOWN
 from phdtrack.report import About, Recorder, RunRecord
+from phdtrack.report.appearance_worth import BINS, AppearanceWorth, Returned
 from phdtrack.types import (
     Detections,
     Estimates,
@@ -18,6 +22,9 @@ from phdtrack.types import (
 
 WIDE = 160
 HIGH = 120
+# No pairs, and an identity that was given back.
+NONE = np.zeros(BINS, np.int64)
+BACK = Returned(4, 30, 80, 12.4, 5.0)
 
 
 def step(
@@ -110,3 +117,14 @@ def run_record(
     return recorder.record(
         tracks, about or About(title="Walk", command="phdtrack track walk.mp4", seed=4)
     )
+
+
+def worth(**changes) -> AppearanceWorth:
+    """Some worth: 200 pairs of one object, of which 150 are more alike than 400 of two."""
+    same = NONE.copy()
+    other = NONE.copy()
+    same[[60, 80]] = 50, 150
+    other[[60, 40]] = 100, 300
+    law = UNKNOWN._replace(weight=0.4, same=0.6, same_deviation=0.1, other_deviation=0.2)
+    made = AppearanceWorth(same, other, 2.0, 1.5, -0.7, 900, 300, law, unused=False)
+    return replace(made, **changes)

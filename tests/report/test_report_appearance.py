@@ -11,18 +11,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from report_runs import run_record
+from report_runs import BACK, NONE, run_record, worth
 
 from appearance_cases import FPS, SIZE, frame_of, prototypes
 from phdtrack import Tracker
-from phdtrack.kernels.appearance import UNKNOWN
 from phdtrack.report import report_html, sentences
-from phdtrack.report.appearance_worth import BINS, AppearanceRecorder, AppearanceWorth, Returned
+from phdtrack.report.appearance_worth import AppearanceRecorder, AppearanceWorth
 from phdtrack.types import Return
 
 PEOPLE = (0, 1, 2, 3, 4)
-NONE = np.zeros(BINS, np.int64)
-BACK = Returned(4, 30, 80, 12.4, 5.0)
 
 
 def seen(looks: np.ndarray, frames: int = 150, **sections) -> AppearanceWorth:
@@ -35,17 +32,6 @@ def seen(looks: np.ndarray, frames: int = 150, **sections) -> AppearanceWorth:
         recorder.see(tracker.step.appeared)
     numbers = np.arange(1, frames + 1)
     return recorder.worth("colours", tracker.returns, numbers, numbers / FPS)
-
-
-def worth(**changes) -> AppearanceWorth:
-    """Some worth: 200 pairs of one object, of which 150 are more alike than 400 of two."""
-    same = NONE.copy()
-    other = NONE.copy()
-    same[[60, 80]] = 50, 150
-    other[[60, 40]] = 100, 300
-    law = UNKNOWN._replace(weight=0.4, same=0.6, same_deviation=0.1, other_deviation=0.2)
-    made = AppearanceWorth(same, other, 2.0, 1.5, -0.7, 900, 300, law, unused=False)
-    return replace(made, **changes)
 
 
 def told(one: AppearanceWorth) -> str:

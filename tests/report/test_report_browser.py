@@ -4,10 +4,12 @@ tables.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from report_runs import run_record
+from report_runs import BACK, run_record, worth
 
 from browsers import faults, needs_browser
 from phdtrack.report import report_html
@@ -50,6 +52,21 @@ def test_many_lifetimes_are_folded(browser, width: int) -> None:
             page.get_by_text("200 tracks").click()
             assert bars.is_visible()
         page.close()
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_appearance_is_folded_for_researchers(browser, width: int, scheme: str) -> None:
+    """Who came back is in sight; the chart on a click."""
+    one = worth(returns=(BACK,) * 12)
+    source = report_html(replace(run_record(20, 3), appearance=one), {})
+    page = opened(browser, source, width, scheme)
+    assert page.get_by_text("12 objects came back after the track had ended").is_visible()
+    chart = page.locator('[aria-label^="Two histograms"]')
+    assert not chart.is_visible()
+    page.get_by_text("How alike objects look, for researchers").click()
+    assert chart.is_visible()
+    assert faults(page) == []
+    page.close()
 
 
 def test_long_table_unfolds_on_a_click(browser) -> None:
