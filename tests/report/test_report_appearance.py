@@ -159,8 +159,10 @@ def test_sentences_tell_what_it_was_worth():
     assert "came back" not in told(worth())
     words = told(worth(returns=(BACK,)))
     assert "1 object came back and has its identity again; run.json lists it with its odds" in words
-    words = told(worth(returns=(BACK, BACK)))
+    words = told(worth(returns=(BACK, BACK._replace(identity=5))))
     assert "2 objects came back and have their identities again; run.json lists them" in words
+    words = told(worth(returns=(BACK, BACK, BACK._replace(identity=5))))
+    assert "2 objects came back, 3 times in all, and have their identities again" in words
     assert "Colours" not in "\n".join(sentences(run_record()))
 
 

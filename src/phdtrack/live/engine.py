@@ -329,7 +329,8 @@ class Camera:
         if self.running is None:
             return 0
         before = self._ahead[2]
-        return sum(one.time > before for one in self.running.tracker.returns)
+        pairs = self.running.tracker.returns
+        return len({one.identity for one in pairs if one.time > before})
 
     @property
     def alive(self) -> bool:

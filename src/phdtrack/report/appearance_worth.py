@@ -94,6 +94,11 @@ class AppearanceWorth:
         return float((self.same * below).sum() / total)
 
     @property
+    def back(self) -> int:
+        """The number of objects that came back, each once."""
+        return len({each.identity for each in self.returns})
+
+    @property
     def about(self) -> float:
         """``apart``, to one digit."""
         return float(f"{self.apart:.1g}")
