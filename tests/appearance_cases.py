@@ -12,6 +12,12 @@ from phdtrack.types import F4, F8, Detections, Tracks
 SIZE = (1280, 720)
 FPS = 10.0
 D = 16
+# Frames in which the two who walk towards each other hide one another, in which then nothing is
+# known of their looks, so that motion has decided before, and of the whole.
+HIDDEN = range(96, 105)
+DARK = range(105, 113)
+FRAMES = 150
+WAY = 4.0
 
 
 def prototypes(count: int, seed: int = 0) -> F8:
@@ -64,3 +70,31 @@ def identity_of(tracks: Tracks, detection: int) -> int:
     """The identity that a detection has in the rows of a frame; 0: none."""
     at = np.flatnonzero(tracks.detection == detection)
     return int(tracks.identity[at[0]]) if len(at) else 0
+
+
+LOOKS = prototypes(8)
+
+
+def meeting(turn: bool, looks: np.ndarray = LOOKS) -> list[Detections]:
+    """Two people walk towards each other, are one box where they meet, and go on or ``turn`` back;
+    three more walk in lanes of their own. Detections 0 and 1 are the two, while both are seen.
+    """
+    out = []
+    middle = 0.5 * (HIDDEN[0] + HIDDEN[-1])
+    for k in range(FRAMES):
+        away = abs(k - middle) if turn else middle - k
+        places = [(600 - WAY * away, 300.0), (600 + WAY * away, 300.0)]
+        places += [(200 + 3 * k, 20.0), (1000 - 3 * k, 160.0), (300 + 2 * k, 500.0)]
+        people = [0, 2, 3, 4] if k in HIDDEN else [0, 1, 2, 3, 4]
+        boxes = []
+        for p in people:
+            x, y = (600.0, 300.0) if k in HIDDEN and p == 0 else places[p]
+            box = np.array([x, y, x + 50, y + 120])
+            boxes.append(box + np.random.default_rng([p, k]).normal(0, 1, 4))
+        views = np.array([look_of(looks[p], 1000 * k + p) for p in people])
+        if k in HIDDEN:
+            views[0] = 0.5 * (views[0] + look_of(looks[1], 1000 * k + 1))
+        if k in DARK:
+            views[:2] = 0
+        out.append(Detections.of(np.array(boxes), embeddings=views))
+    return out

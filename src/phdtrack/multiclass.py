@@ -28,7 +28,7 @@ from phdtrack.kernels.grid import uncrowded
 from phdtrack.models.warp import joined
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
-from phdtrack.types import F8, I8, STILL, Bool, Detections, Return, Step, Tracks
+from phdtrack.types import F8, I8, STILL, Bool, Detections, Exchange, Return, Step, Tracks
 
 # Empty frames that a class seen for the first time has been through: more teach nothing else.
 _REPLAYED = 250
@@ -386,6 +386,16 @@ class ClassPipelines:
             for each in one.stages.associator.returns(one.state.association)
         ]
         return tuple(sorted(found, key=lambda each: each.time))
+
+    @property
+    def exchanges(self) -> tuple[Exchange, ...]:
+        """The identities that targets of all classes have exchanged, oldest first."""
+        found = [
+            each
+            for one in self._all.values()
+            for each in one.stages.associator.exchanges(one.state.association)
+        ]
+        return tuple(sorted(found, key=lambda each: each.frame))
 
     def flush(self) -> Tracks:
         """The online rows that the output delay holds back, with the identities that later frames

@@ -30,6 +30,7 @@ from phdtrack.types import (
     Detections,
     DividedDetections,
     Estimates,
+    Exchange,
     MeasurementHistory,
     Particles,
     Return,
@@ -377,6 +378,10 @@ class Associator(Protocol[A]):
 
     def returns(self, state: A) -> tuple[Return, ...]:
         """The identities that targets have taken again, oldest first."""
+        return ()
+
+    def exchanges(self, state: A) -> tuple[Exchange, ...]:
+        """The identities that targets have exchanged, oldest first."""
         return ()
 
     def oldest(self, state: A) -> int:

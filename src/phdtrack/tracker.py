@@ -41,6 +41,7 @@ from phdtrack.types import (
     LAST_FRAME,
     STILL,
     Detections,
+    Exchange,
     Image,
     Return,
     SequenceInfo,
@@ -412,6 +413,13 @@ class Tracker:
         were lost, came back and look the same.
         """
         return self._pipelines.returns
+
+    @property
+    def exchanges(self) -> tuple[Exchange, ...]:
+        """The identities that two targets of online rows have exchanged so far, oldest first: they
+        had met, and each looked like the other one since.
+        """
+        return self._pipelines.exchanges
 
     @property
     def drawn(self) -> bool:

@@ -573,6 +573,19 @@ class Return(NamedTuple):
     began: tuple[int, int]
 
 
+class Exchange(NamedTuple):
+    """Two targets that had taken each other's identity, and have exchanged them again.
+
+    ``labels``: of both. ``identities``: what they had until then. ``odds``: that it was so.
+    ``frame``: the number of the first one in which each has its own again.
+    """
+
+    labels: tuple[int, int]
+    identities: tuple[int, int]
+    odds: float
+    frame: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasurementHistory:
     """The measurements of F frames end to end, which corrected tracks are smoothed with.

@@ -21,8 +21,17 @@ from appearance_cases import (
 )
 from phdtrack import Tracker
 from phdtrack.associate import reidentification
-from phdtrack.associate.reidentification import Returns, named, nobody, remembering, taken
+from phdtrack.associate.reidentification import (
+    Names,
+    Returns,
+    forgetting,
+    named,
+    remembering,
+    taken,
+)
+from phdtrack.associate.reidentification import given_back as given_back_by
 from phdtrack.kernels.appearance import UNKNOWN, Looks
+from phdtrack.kernels.identities import nobody
 from phdtrack.models.returns import NEARBY, RETURN, RETURN_TIME, log_odds
 from phdtrack.models.track_returns import with_returns
 from phdtrack.protocols import Associator
@@ -193,7 +202,8 @@ def test_looks_are_forgotten_after_the_time_limit():
     sizes = []
     for k in range(300):
         tracker.update(frame_of(PEOPLE if k < LEARNED else (), k, LOOKS))
-        sizes.append(len(tracker.state.association.returns.seen.label))
+        returns = tracker.state.association.returns
+        sizes.append(len(returns.seen.label) + len(returns.lost.label))
     assert sizes[LEARNED - 1] == sizes[LEARNED + 20] == len(PEOPLE)
     assert sizes[-1] == 0
 
@@ -345,8 +355,8 @@ def test_odds_are_by_bayes_rule(rng: np.random.Generator):
     assert np.isneginf(log_odds(np.array([0.0, -1.0]), lost[:2], new[:2], 0.2, 5e4)).all()
 
 
-def looks_at(time: float) -> Looks:
-    """Of a frame, after lessons that told all from each other."""
+def looks_at(time: float, raw: np.ndarray | None = None) -> Looks:
+    """Of a frame with these descriptors, after lessons that told all from each other."""
     law = UNKNOWN._replace(
         weight=1.0,
         means_weight=1.0,
@@ -355,8 +365,21 @@ def looks_at(time: float) -> Looks:
         means_other_deviation=0.3,
         within=math.inf,
     )
-    none = np.zeros((0, D), np.float32)
-    return Looks(none, none, np.zeros(D, np.float32), np.zeros(0), law, time, 3.0)
+    seen = np.zeros((0, D), np.float32) if raw is None else raw.astype(np.float32)
+    return Looks(seen, seen, np.zeros(D, np.float32), np.ones(len(seen)), law, time, 3.0)
+
+
+def after(state: Returns, labels: list[int], views: np.ndarray, frame: int, time: float) -> Returns:
+    """The state after a frame in which these confirmed targets are seen; their identities are one
+    more than their labels.
+    """
+    looks = looks_at(time, views)
+    n = len(labels)
+    state = remembering(
+        state, estimates(labels, views), np.arange(n), frame, looks, np.ones(n, np.bool_)
+    )
+    known = np.arange(max(labels, default=0) + 1)
+    return forgetting(named(state, Names(known, known + 1)), looks.law.within)
 
 
 def estimates(labels: list[int], looks: np.ndarray) -> Estimates:
@@ -381,22 +404,19 @@ def test_lost_targets_that_are_remembered_are_few(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(reidentification, "MOST_LOST", 5)
     state = Returns()
     for k in range(30):
-        found = estimates([k], np.eye(1, D))
-        state, _ = remembering(
-            state, found, np.array([0]), (k + 1, float(k)), looks_at(k), np.array([True])
-        )
-        assert len(state.seen.label) <= 6
-    assert state.seen.label.tolist() == [24, 25, 26, 27, 28, 29]
-    pair = Return(27, 29, 1, 2.0, 29.0, (28, 0), (30, 0))
+        state = after(state, [k], np.eye(1, D), k + 1, float(10 * k))
+        assert len(state.seen.label) <= 2
+        assert len(state.lost.label) <= 5
+    assert state.lost.label.tolist() == [24, 25, 26, 27, 28]
+    assert state.lost.identity.tolist() == [25, 26, 27, 28, 29]
+    pair = Return(27, 29, 28, 2.0, 290.0, (28, 0), (30, 0))
     state = taken(state, [pair])
-    state, _ = remembering(
-        state, found, np.array([0]), (31, 30.0), looks_at(30.0), np.array([True])
-    )
-    assert 27 not in state.seen.label
+    assert state.lost.label.tolist() == [24, 25, 26, 28]
+    assert state.seen.given.tolist() == [True]
     assert state.pairs == (pair,)
     monkeypatch.setattr(reidentification, "MOST_PAIRS", 3)
-    for _ in range(9):
-        state = taken(state, [pair])
+    for k in (24, 25, 26, 28):
+        state = taken(state, [pair._replace(earlier=k)])
     assert len(state.pairs) == 3
 
 
@@ -405,47 +425,37 @@ def test_memory_is_bounded_with_thousands_of_targets():
     grow, and one of them is known again.
     """
     views = np.random.default_rng(0).normal(0, 1, (5000, D))
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
     state = Returns()
     sizes = list[int]()
     time = 0.0
     for k in range(50):
         time = 1000.0 * k
         labels = np.arange(100 * k, 100 * k + 100)
-        found = estimates(labels.tolist(), views[labels])
-        sure = np.ones(100, np.bool_)
-        state, _ = remembering(state, found, np.arange(100), (k + 1, time), looks_at(time), sure)
-        state = named(state, labels, 1 + labels)
+        state = after(state, labels.tolist(), views[labels], k + 1, time)
         sizes.append(len(to_bytes(state)))
-    held = 100 + reidentification.MOST_LOST
-    assert state.seen.label.tolist() == list(range(5000 - held, 5000))
+    held = reidentification.MOST_LOST
+    assert state.lost.label.tolist() == list(range(4900 - held, 4900))
     assert max(sizes) < 1.1 * sizes[25] < 1e6
     pairs = list[Return]()
     for k in range(50, 53):
         time += 1.0
-        found = estimates([5000], views[[4900]])
-        row = np.zeros(1, np.int64)
-        sure = np.ones(1, np.bool_)
-        state, pairs = remembering(state, found, row, (k + 1, time), looks_at(time), sure)
+        state = after(state, [5000], views[[4900]], k + 1, time)
+        pairs = given_back_by(state, looks_at(time))
     assert [pair.identity for pair in pairs] == [4901]
 
 
 def test_targets_of_another_descriptor_are_forgotten():
-    state = Returns()
-    state, _ = remembering(
-        state,
-        estimates([1], np.eye(1, D)),
-        np.zeros(1, int),
-        (1, 0.0),
-        looks_at(0),
-        np.ones(1, bool),
-    )
-    assert len(state.seen.label) == 1
+    state = after(Returns(), [1, 2], np.eye(2, D), 1, 0.0)
+    assert len(state.seen.label) == 2
+    state = replace(state, met=np.array([1]), when=np.array([0.0]))
     other = looks_at(1.0)._replace(raw=np.zeros((0, 3), np.float32), mean=np.zeros(3, np.float32))
-    state, pairs = remembering(
-        state, Estimates.empty(6), np.zeros(0, int), (2, 1.0), other, np.zeros(0, bool)
+    state = remembering(
+        state, Estimates.empty(6), np.zeros(0, int), 2, other, np.zeros(0, np.bool_)
     )
-    assert pairs == []
+    assert given_back_by(state, other) == []
     assert all(map(np.array_equal, state.seen, nobody(3)))
+    assert not len(state.met)
 
 
 def test_associators_without_labels_give_nothing_back():

@@ -12,6 +12,7 @@ import pytest
 from cli_runner import phdtrack, refused
 from typer.testing import CliRunner
 
+from appearance_cases import SIZE, meeting, tracker_of
 from phdtrack import Tracker
 from phdtrack.cli.app import application
 from phdtrack.formats import read_tracks
@@ -105,6 +106,29 @@ def test_nobody_comes_back_later_than_the_limit(
 ) -> None:
     found = given_back(files, tmp_path / "run", "--appearance", files[1], *words)
     assert len(found) == count
+
+
+def test_run_json_lists_identities_exchanged(tmp_path: Path) -> None:
+    """The same as in a loop, of two who hid each other and turned back."""
+    frames = meeting(turn=True)
+    tracker = tracker_of()
+    lines = list[str]()
+    for frame, found in enumerate(frames, 1):
+        tracker.update(found, frame)
+        for left, top, right, bottom in found.xyxy.tolist():
+            lines.append(f"{frame},-1,{left},{top},{right - left},{bottom - top},1,-1,-1,-1")
+    (tmp_path / "det.txt").write_text("\n".join(lines) + "\n")
+    np.save(tmp_path / "looks.npy", np.concatenate([found.embeddings for found in frames]))
+    words = ["--frame-size", "x".join(map(str, SIZE)), "--fps", FPS, "--out", tmp_path / "run"]
+    looks = ["--appearance", tmp_path / "looks.npy"]
+    said = phdtrack("track", "--detections", tmp_path / "det.txt", *words, *looks)
+    assert said.status == 0, said.err
+    told = json.loads((tmp_path / "run" / "run.json").read_text())["identities_exchanged"]
+    assert [(one["frame"], tuple(one["identities"])) for one in told] == [
+        (one.frame, one.identities) for one in tracker.exchanges
+    ]
+    assert len(told) == 1
+    assert told[0]["odds"] == pytest.approx(tracker.exchanges[0].odds, rel=3)
 
 
 def test_without_appearance_there_is_no_list(files: tuple[Path, Path], tmp_path: Path) -> None:

@@ -76,9 +76,20 @@ def test_the_worth_grows_with_lessons(rng: np.random.Generator):
     weights = [RULE.law(taught_by(frames[:n]).lessons).weight for n in (1, 3, 10, 30, 80)]
     assert weights[0] == 0
     assert weights == sorted(weights)
-    assert 0.2 < weights[-1] < 0.5
+    assert 0.4 < weights[-1] < 0.5
     quick = replace(RULE, prior_lessons=0.0)
-    assert quick.law(taught_by(frames[:10]).lessons).weight == pytest.approx(0.5)
+    assert 0.48 < quick.law(taught_by(frames[:10]).lessons).weight < 0.5
+
+
+def test_a_difference_within_its_error_is_worth_nothing():
+    """What is left of the squared difference without its variance, and 0 below that."""
+    rule = replace(RULE, prior_lessons=0.0)
+    for difference, worth in ((-0.1, 0.0), (0.1, 0.0), (0.2, 0.5), (0.4, 0.875), (2.0, 0.995)):
+        # Five lessons count as one: 5 · (0.1/50 + 0.1/50) is 0.02.
+        found = rule.worth((50.0, difference, 0.1), (50.0, 0.0, 0.1))
+        assert found == pytest.approx(worth, abs=1e-9)
+    half = replace(RULE, prior_lessons=50.0)
+    assert half.worth((50.0, 2.0, 0.1), (80.0, 0.0, 0.0)) == pytest.approx(0.5, abs=2e-3)
 
 
 def test_one_object_alone_teaches_nothing(rng: np.random.Generator):

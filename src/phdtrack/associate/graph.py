@@ -59,6 +59,7 @@ from phdtrack.types import (
     Bool,
     Detections,
     Estimates,
+    Exchange,
     MeasurementHistory,
     Return,
     Tracks,
@@ -338,6 +339,10 @@ class GraphMatching(Checked):
         return measurements(state.history)
 
     def returns(self, state: GraphState) -> tuple[Return, ...]:
+        """None: identities are those of the matching."""
+        return ()
+
+    def exchanges(self, state: GraphState) -> tuple[Exchange, ...]:
         """None: identities are those of the matching."""
         return ()
 

@@ -38,7 +38,17 @@ from phdtrack.associate.history import (
     seen_until,
     unobserved_at_end,
 )
-from phdtrack.associate.reidentification import Returns, named, remembering, taken
+from phdtrack.associate.reidentification import (
+    Names,
+    Returns,
+    exchanged,
+    exchanges,
+    forgetting,
+    given_back,
+    named,
+    remembering,
+    taken,
+)
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
 from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning
@@ -51,6 +61,7 @@ from phdtrack.types import (
     Bool,
     Detections,
     Estimates,
+    Exchange,
     MeasurementHistory,
     Return,
     Tracks,
@@ -117,6 +128,14 @@ class LabelTable(NamedTuple):
         return self._replace(
             states=self.states + np.bincount(place, minlength=len(self.label)), last=last
         )
+
+    def renamed(self, label: I8, identity: I8) -> LabelTable:
+        """The table with these identities of those of the labels that have a row."""
+        place = np.minimum(self.places(label), len(self.label) - 1)
+        there = self.label[place] == label
+        names = self.identity.copy()
+        names[place[there]] = identity[there]
+        return self._replace(identity=names)
 
     def places(self, labels: I8) -> I8:
         """(n,) the rows of the labels."""
@@ -268,24 +287,26 @@ class Labelled(Checked):
         looks: Looks,
     ) -> tuple[LabelledState, LabelTable]:
         """The state, and what is known at present, with the identities that are given back."""
-        returns = named(state.returns, present.label, present.identity)
-        sure = self._confirmed(present, present.places(estimates.tag))
-        when = now.number, looks.time
-        returns, pairs = remembering(returns, estimates, now.rows, when, looks, sure)
-        returns = taken(returns, pairs)
-        state = replace(state, returns=returns)
-        if not pairs:
-            return state, present
-        label = np.array([pair.later for pair in pairs])
-        known = np.array([pair.identity for pair in pairs])
-        tables = list[LabelTable]()
-        for table in (state.table, present):
-            identity = table.identity.copy()
+        names = Names(present.label, present.identity)
+        sure = self._confirmed(present, present.places(now.estimates.tag))
+        seen = remembering(state.returns, estimates, now.rows, now.number, looks, sure)
+        seen = forgetting(named(seen, names), looks.law.within)
+        swapped = exchanges(seen, looks, now.number, names)
+        seen = exchanged(seen, swapped)
+        pairs = given_back(seen, looks)
+        state = replace(state, returns=taken(seen, pairs))
+        change = dict[int, int]()
+        for each in swapped:
+            change |= zip(each.labels, each.identities[::-1], strict=True)
+        for pair in pairs:
             # Should the filter report it again, it is another one.
-            identity[np.isin(table.label, [pair.earlier for pair in pairs])] = 0
-            identity[table.places(label)] = known
-            tables.append(table._replace(identity=identity))
-        return replace(state, table=tables[0]), tables[1]
+            change |= {pair.earlier: 0, pair.later: pair.identity}
+        if not change:
+            return state, present
+        label = np.array(sorted(change))
+        identity = np.array([change[each] for each in sorted(change)])
+        table = state.table.renamed(label, identity)
+        return replace(state, table=table), present.renamed(label, identity)
 
     def _emitted(
         self, state: LabelledState, present: LabelTable, model: Model
@@ -330,6 +351,10 @@ class Labelled(Checked):
     def returns(self, state: LabelledState) -> tuple[Return, ...]:
         """The identities that were given back."""
         return state.returns.pairs
+
+    def exchanges(self, state: LabelledState) -> tuple[Exchange, ...]:
+        """The identities that targets have exchanged."""
+        return state.returns.exchanges
 
     def oldest(self, state: LabelledState) -> int:
         """The number of the first frame that is remembered."""

@@ -1,8 +1,14 @@
-"""Identities given back to targets that were deleted and come again, by odds (`models.returns`).
+"""Identities given back to targets that were deleted and come again, and to those that have
+exchanged theirs, by odds.
 
-A new target is compared with every one that the filter has deleted. What was seen of it so far
-counts as one observation: its detections are not independent. All old targets and a new one share
-the probability; where an old one has more than half of it, the new target takes its identity.
+A new target is compared with every one that the filter has deleted (`models.returns`) [APP (5)].
+What was seen of it so far counts as one observation: its detections are not independent. All old
+targets and a new one share the probability; where an old one has more than half of it, the new
+target takes its identity.
+
+Where two targets meet, the filter may take one for the other: while they hide each other, motion
+alone decides. So those that have met are compared with what both identities looked like. Where it
+is more probable than not that they have exchanged them, they do so again [APP (6)].
 """
 
 from __future__ import annotations
@@ -13,9 +19,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels.appearance import Looks, likeness, plain
+from phdtrack.kernels.appearance import Looks, free_parts, likeness, plain
+from phdtrack.kernels.identities import (
+    LABELS,
+    Present,
+    Seen,
+    exchange_odds,
+    met_after,
+    nobody,
+    seen_after,
+)
 from phdtrack.models.returns import log_odds
-from phdtrack.types import F4, F8, I8, Bool, Estimates, Return
+from phdtrack.types import F8, I8, Bool, Estimates, Exchange, Return
 
 # Detections of a new target from which on it is compared, and seconds until which it is.
 LEAST_SEEN = 3
@@ -25,174 +40,279 @@ ENOUGH = 0.5
 # Lost targets, and identities given back, that are remembered.
 MOST_LOST = 2000
 MOST_PAIRS = 10_000
-
-
-class Seen(NamedTuple):
-    """The knowledge of targets (K,), ascending by label.
-
-    ``label``, ``identity``: 0 before its first row. ``first``, ``last``: seconds of its first and
-    last detection; ``began``, ``ended`` (K, 2): frame and row of these. ``xyxy`` (K, 4): its last
-    box. ``mean`` (K, D), ``number``: of `kernels.appearance.Pasts`. ``detections``: how many it
-    had. ``taken``: another one has its identity now; ``given``: it has that of another one.
-    """
-
-    label: I8
-    identity: I8
-    first: F8
-    last: F8
-    began: I8
-    ended: I8
-    xyxy: F8
-    mean: F4
-    number: F8
-    detections: I8
-    taken: Bool
-    given: Bool
-
-    def select(self, index: I8 | Bool) -> Seen:
-        """The rows at ``index``."""
-        return Seen._make(column[index] for column in self)
-
-
-def nobody(size: int) -> Seen:
-    """No targets, of descriptors of length ``size``."""
-    none = np.zeros(0)
-    count = np.zeros(0, np.int64)
-    return Seen(
-        count,
-        count,
-        none,
-        none,
-        np.zeros((0, 2), np.int64),
-        np.zeros((0, 2), np.int64),
-        np.zeros((0, 4)),
-        np.zeros((0, size), np.float32),
-        none,
-        count,
-        count > 0,
-        count > 0,
-    )
+# Seconds after which what an identity looks like counts for 37 %, and what a target looks like just
+# now, which is of this many frames at least.
+MEMORY = 10.0
+LATELY = 0.7
+LATELY_FRAMES = 3.0
+# Targets have met where boxes overlap that are larger by this part; for so many seconds it is
+# possible that they have exchanged identities.
+LARGER = 0.25
+DOUBT = 5.0
+# The log odds that two that have met have exchanged identities, and that one has that of the other,
+# which has not been followed since. Errors of looks in a meeting last, so that these are low.
+EXCHANGED = -3.0
+EXCHANGED_WITH_LOST = -5.0
+# Independent descriptors of how a target looks just now that this needs.
+LEAST_LATELY = 1.5
 
 
 @dataclass(frozen=True, slots=True)
 class Returns:
-    """The targets that may come back, and those that did.
+    """The looks of targets, and the identities that were given back.
 
     Attributes
     ----------
-    seen : the targets with known looks.
-    pairs : identities given back, the newest last; old ones are forgotten.
+    seen : the targets with known looks that are followed, or were not long ago.
+    lost : those that were followed before, and may come back.
+    met, when : the pairs of targets in ``seen`` that have met, and when they last did, as of
+        `kernels.identities.met_after`.
+    pairs, exchanges : identities given back, the newest last; old ones are forgotten.
     extent : left, top, right and bottom of all boxes so far.
-    begun, confirmed : seconds of the first frame, and targets confirmed since.
+    begun, time : seconds of the first and of the last frame.
+    confirmed : targets confirmed since the first.
     """
 
     seen: Seen = field(default_factory=lambda: nobody(0))
+    lost: Seen = field(default_factory=lambda: nobody(0))
+    met: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    when: F8 = field(default_factory=lambda: np.zeros(0))
     pairs: tuple[Return, ...] = ()
+    exchanges: tuple[Exchange, ...] = ()
     extent: tuple[float, float, float, float] = (math.inf, math.inf, -math.inf, -math.inf)
     begun: float = math.nan
+    time: float = math.nan
     confirmed: int = 0
+
+
+class Names(NamedTuple):
+    """The identities (n,) of labels (n,), ascending; 0 says nothing."""
+
+    label: I8
+    identity: I8
 
 
 def remembering(
     state: Returns,
     estimates: Estimates,
     rows: I8,
-    when: tuple[int, float],
+    frame: int,
     looks: Looks,
     confirmed: Bool,
-) -> tuple[Returns, list[Return]]:
-    """The state after a frame, and the identities that it gives back.
+) -> Returns:
+    """The state after a frame.
 
     Parameters
     ----------
     estimates, rows, confirmed : the targets, the `Detections.row` of each, −1 for none, and which
         are confirmed.
-    when : number of the frame, and seconds.
+    frame : its number.
     looks : of the frame.
     """
-    number, time = when
-    begun = time if math.isnan(state.begun) else state.begun
-    seen = state.seen
+    time = looks.time
     size = looks.raw.shape[1]
-    if seen.mean.shape[1] != size:
-        seen = nobody(size)
-    now = np.zeros(0, np.int64)
-    if len(estimates.appearance_count):
-        now = np.flatnonzero((rows >= 0) & confirmed & (estimates.appearance_count > 0))
-    if not len(now):
-        seen = _still_of_use(seen, estimates.followed, time - looks.law.within)
-        return replace(state, begun=begun, seen=seen), []
-    box = estimates.xyxy[now]
-    low = np.minimum(state.extent[:2], box[:, :2].min(axis=0))
-    high = np.maximum(state.extent[2:], box[:, 2:].max(axis=0))
-    tag = estimates.tag[now]
-    place = seen.label.searchsorted(tag)
-    known = place < len(seen.label)
-    known[known] = seen.label[place[known]] == tag[known]
-    fresh = Seen(
-        tag,
-        np.zeros(len(now), np.int64),
-        np.full(len(now), time),
-        np.full(len(now), time),
-        np.stack([np.full(len(now), number), rows[now]], axis=1),
-        np.stack([np.full(len(now), number), rows[now]], axis=1),
-        box,
-        estimates.appearance[now],
-        estimates.appearance_count[now],
-        np.ones(len(now), np.int64),
-        np.zeros(len(now), np.bool_),
-        np.zeros(len(now), np.bool_),
+    if state.seen.mean.shape[1] != size:
+        none = nobody(size)
+        state = replace(state, seen=none, lost=none, met=state.met[:0], when=state.when[:0])
+    begun = time if math.isnan(state.begun) else state.begun
+    interval = 0.0 if math.isnan(state.time) else time - state.time
+    present = _present(estimates, rows, confirmed)
+    before = len(state.seen.label)
+    lately = max(LATELY, LATELY_FRAMES * interval)
+    seen = Seen(
+        *seen_after(
+            tuple(state.seen),
+            tuple(present),
+            frame,
+            estimates.followed,
+            plain(looks),
+            (MEMORY, lately),
+        )
     )
-    new = np.flatnonzero(~known)
-    old = place[known]
-    here = np.flatnonzero(known)
-    columns = [column.copy() for column in seen]
-    seen = Seen._make(columns)
-    seen.last[old] = time
-    seen.ended[old] = fresh.ended[here]
-    seen.xyxy[old] = box[here]
-    seen.mean[old] = fresh.mean[here]
-    seen.number[old] = fresh.number[here]
-    seen.detections[old] += 1
-    if len(new):
-        both = zip(seen, fresh.select(new), strict=True)
-        seen = Seen._make(np.concatenate([old, more]) for old, more in both)
-        seen = seen.select(np.argsort(seen.label, kind="stable"))
-    after = Returns(
-        _still_of_use(seen, estimates.followed, time - looks.law.within),
-        state.pairs,
-        (*low.tolist(), *high.tolist()),
-        begun,
-        state.confirmed + len(new),
+    met, when = met_after(
+        state.met, state.when, seen.label, _boxes_of(estimates), time, (LARGER, DOUBT)
     )
-    pairs = _given_back(after, estimates, looks, time)
-    return after, pairs
+    extent = state.extent
+    if len(present.label):
+        low = np.minimum(extent[:2], present.xyxy[:, :2].min(axis=0))
+        high = np.maximum(extent[2:], present.xyxy[:, 2:].max(axis=0))
+        extent = (*low.tolist(), *high.tolist())
+    return replace(
+        state,
+        seen=seen,
+        met=met,
+        when=when,
+        extent=extent,
+        begun=begun,
+        time=time,
+        confirmed=state.confirmed + len(seen.label) - before,
+    )
 
 
-def _still_of_use(seen: Seen, followed: I8, since: float) -> Seen:
-    """Without lost targets that no other one can be: those whose identity was given back, that were
-    last seen before ``since`` seconds, or that are not among the last `MOST_LOST`.
+def _present(estimates: Estimates, rows: I8, confirmed: Bool) -> Present:
+    """The confirmed targets of a frame that have a detection."""
+    count = estimates.appearance_count
+    if not len(count):
+        count = np.zeros(len(estimates))
+    now = np.flatnonzero((rows >= 0) & confirmed & (count > 0))
+    clear = free_parts(np.ascontiguousarray(estimates.xyxy))
+    mean = estimates.appearance[now] if len(estimates.appearance) else estimates.appearance
+    return Present(
+        estimates.tag[now],
+        estimates.detection[now],
+        rows[now],
+        estimates.xyxy[now],
+        clear[now],
+        mean,
+        count[now],
+    )
+
+
+def _boxes_of(estimates: Estimates) -> tuple[I8, F8]:
+    """Labels and boxes of the targets of a frame, ascending by label."""
+    tag = estimates.tag
+    if (tag[1:] > tag[:-1]).all():
+        return tag, np.ascontiguousarray(estimates.xyxy)
+    order = np.argsort(tag, kind="stable")
+    return tag[order], estimates.xyxy[order]
+
+
+def named(state: Returns, names: Names) -> Returns:
+    """The state in which those that are followed no more have their identities, and those of them
+    that were followed long ago are among the lost; lost ones that no other one can be are
+    forgotten.
     """
-    lost = ~np.isin(seen.label, followed)
-    gone = lost & (seen.taken | (seen.last < since))
-    rest = np.flatnonzero(lost & ~gone)
-    gone[rest[np.argsort(-seen.last[rest], kind="stable")[MOST_LOST:]]] = True
-    return seen.select(~gone) if gone.any() else seen
-
-
-def _given_back(state: Returns, estimates: Estimates, looks: Looks, time: float) -> list[Return]:
-    """The identities that the targets of a frame take again."""
     seen = state.seen
-    alive = np.isin(seen.label, estimates.followed)
+    gone = ~seen.alive
+    if not gone.any() and not len(state.lost.label):
+        return state
+    unnamed = gone & (seen.identity == 0)
+    if unnamed.any():
+        identity = seen.identity.copy()
+        identity[unnamed] = _identities(names, seen.label[unnamed])
+        seen = seen._replace(identity=identity)
+    lost = state.lost
+    old = gone & (seen.last < state.time - DOUBT)
+    if old.any():
+        lost = lost.followed_by(seen.select(old & (seen.identity > 0)))
+        seen = seen.select(~old)
+    return replace(state, seen=seen, lost=lost)
+
+
+def forgetting(state: Returns, within: float) -> Returns:
+    """The state without lost targets that were last seen more than ``within`` seconds ago, or that
+    are not among the last `MOST_LOST`.
+    """
+    lost = state.lost
+    if not len(lost.label):
+        return state
+    kept = lost.last >= state.time - within
+    if np.count_nonzero(kept) > MOST_LOST:
+        newest = np.argsort(-np.where(kept, lost.last, -np.inf), kind="stable")
+        kept[newest[MOST_LOST:]] = False
+    return state if kept.all() else replace(state, lost=lost.select(kept))
+
+
+def _identities(names: Names, label: I8) -> I8:
+    """(n,) the identities of labels (n,), 0 where they are not known."""
+    if not len(names.label):
+        return np.zeros(len(label), np.int64)
+    place = names.label.searchsorted(label)
+    there = names.label.take(place, mode="clip") == label
+    return np.where(there, names.identity.take(place, mode="clip"), 0)
+
+
+def exchanges(state: Returns, looks: Looks, frame: int, names: Names) -> list[Exchange]:
+    """The identities that targets exchange [APP (6)].
+
+    Parameters
+    ----------
+    looks, frame : of the frame, and its number.
+    names : the identities of all labels.
+    """
+    if not len(state.met):
+        return []
+    seen = state.seen
+    odds = exchange_odds(
+        tuple(seen), state.met, plain(looks), (EXCHANGED, EXCHANGED_WITH_LOST), LEAST_LATELY
+    )
+    out = list[Exchange]()
+    used = set[int]()
+    for m in np.argsort(-odds, kind="stable").tolist():
+        if not odds[m] > 0:
+            return out
+        labels = np.array(divmod(int(state.met[m]), LABELS))
+        place = seen.label.searchsorted(labels)
+        identity = np.where(
+            seen.alive[place], _identities(names, labels), seen.identity[place]
+        ).tolist()
+        a, b = labels.tolist()
+        if 0 in identity or a in used or b in used:
+            continue
+        used |= {a, b}
+        out.append(Exchange((a, b), (identity[0], identity[1]), math.exp(odds[m]), frame))
+    return out
+
+
+def exchanged(state: Returns, found: list[Exchange]) -> Returns:
+    """The state after these targets have exchanged their identities."""
+    if not found:
+        return state
+    columns = {
+        name: getattr(state.seen, name).copy()
+        for name in ("identity", "ended", "mean", "weight", "number")
+    }
+    met = dict(zip(state.met.tolist(), state.when.tolist(), strict=True))
+    for each in found:
+        place = state.seen.label.searchsorted(np.array(each.labels))
+        for name in ("mean", "weight", "number"):
+            columns[name][place] = columns[name][place[::-1]]
+        for k in (0, 1):
+            if not state.seen.alive[place[k]]:
+                # Its last detection before is not one of this target's.
+                columns["identity"][place[k]] = each.identities[1 - k]
+                columns["ended"][place[k]] = each.frame, -1
+        met |= _met_of_both(met, *each.labels)
+    pairs = sorted(met)
+    return replace(
+        state,
+        seen=state.seen._replace(**columns),
+        met=np.array(pairs, np.int64),
+        when=np.array([met[pair] for pair in pairs]),
+        exchanges=(*state.exchanges, *found)[-MOST_PAIRS:],
+    )
+
+
+def _met_of_both(met: dict[int, float], a: int, b: int) -> dict[int, float]:
+    """When those that have met one of two targets have met both: either may be the other one."""
+    more = dict[int, float]()
+    for pair, time in met.items():
+        one, two = divmod(pair, LABELS)
+        if (one in (a, b)) == (two in (a, b)):
+            continue
+        third = two if one in (a, b) else one
+        for label in (a, b):
+            key = min(label, third) * LABELS + max(label, third)
+            more[key] = max(time, met.get(key, -math.inf), more.get(key, -math.inf))
+    return more
+
+
+def given_back(state: Returns, looks: Looks) -> list[Return]:
+    """The identities that the targets of a frame take again [APP (5)]."""
+    seen = state.seen
+    time = state.time
     new = np.flatnonzero(
-        alive
+        seen.alive
         & ~seen.given
         & (seen.last == time)
         & (seen.detections >= LEAST_SEEN)
         & (time - seen.first <= UNDECIDED)
     )
-    lost = np.flatnonzero(~alive & ~seen.taken & (seen.identity > 0))
-    if not len(new) or not len(lost) or looks.law.means_weight <= 0:
+    if not len(new) or looks.law.means_weight <= 0:
+        return []
+    gone = seen.select(~seen.alive & (seen.identity > 0))
+    lost = state.lost.followed_by(gone)
+    if not len(lost.label):
         return []
     odds = _odds(state, new, lost, looks)
     total = 1.0 + odds.sum(axis=1)
@@ -203,15 +323,14 @@ def _given_back(state: Returns, estimates: Estimates, looks: Looks, time: float)
         if not share > ENOUGH:
             return out
         i = int(new[a])
-        k = int(lost[b])
         out.append(
             Return(
-                int(seen.label[k]),
+                int(lost.label[b]),
                 int(seen.label[i]),
-                int(seen.identity[k]),
+                int(lost.identity[b]),
                 float(share / (1 - share)),
                 time,
-                tuple(seen.ended[k].tolist()),
+                tuple(lost.ended[b].tolist()),
                 tuple(seen.began[i].tolist()),
             )
         )
@@ -219,16 +338,19 @@ def _given_back(state: Returns, estimates: Estimates, looks: Looks, time: float)
         odds[:, b] = 0.0
 
 
-def _odds(state: Returns, new: I8, lost: I8, looks: Looks) -> F8:
+def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
     """(n, m) the odds of targets ``new`` to be those ``lost``, against new ones."""
     seen = state.seen
-    gap = seen.first[new][:, None] - seen.last[lost][None]
+    gap = seen.first[new][:, None] - lost.last[None]
     a, b = np.indices(gap.shape).reshape(2, -1)
-    ratio = likeness(seen.mean, seen.number, lost[b], new[a], plain(looks))
+    mean = np.concatenate([lost.mean, seen.mean[new]])
+    number = np.concatenate([lost.number, seen.number[new]])
+    ratio = likeness(mean, number, b, len(lost.label) + a, plain(looks))
     left, top, right, bottom = state.extent
     area = max((right - left) * (bottom - top), 1.0)
-    births = max(state.confirmed, 1) / max(seen.last.max() - state.begun, 1.0)
-    prior = log_odds(gap.ravel(), seen.xyxy[lost][b], seen.xyxy[new][a], births, area)
+    # Those that came back are not new.
+    births = max(state.confirmed - len(state.pairs), 1) / max(state.time - state.begun, 1.0)
+    prior = log_odds(gap.ravel(), lost.xyxy[b], seen.xyxy[new][a], births, area)
     odds: F8 = np.exp(prior + ratio).reshape(gap.shape)
     odds[gap > looks.law.within] = 0.0
     return odds
@@ -239,23 +361,20 @@ def taken(state: Returns, pairs: list[Return]) -> Returns:
     if not pairs:
         return state
     seen = state.seen
-    gone = np.isin(seen.label, [pair.earlier for pair in pairs])
-    back = np.isin(seen.label, [pair.later for pair in pairs])
-    kept = seen._replace(taken=seen.taken | gone, given=seen.given | back)
-    return replace(state, seen=kept, pairs=(*state.pairs, *pairs)[-MOST_PAIRS:])
-
-
-def named(state: Returns, label: I8, identity: I8) -> Returns:
-    """The state with known identities.
-
-    Parameters
-    ----------
-    label, identity : (n,) labels, ascending, and their identities; 0 says nothing.
-    """
-    seen = state.seen
-    place = label.searchsorted(seen.label)
-    there = label.take(place, mode="clip") == seen.label if len(label) else np.zeros(0, np.bool_)
-    found = np.zeros(len(seen.label), np.int64)
-    if len(label):
-        found = np.where(there, identity.take(place, mode="clip"), 0)
-    return replace(state, seen=seen._replace(identity=np.where(found > 0, found, seen.identity)))
+    given = seen.given.copy()
+    columns = {name: getattr(seen, name).copy() for name in ("mean", "weight", "number")}
+    for pair in pairs:
+        p = int(seen.label.searchsorted(pair.later))
+        given[p] = True
+        source = seen if pair.earlier in seen.label else state.lost
+        k = int(np.flatnonzero(source.label == pair.earlier)[0])
+        for name, column in columns.items():
+            column[p] = getattr(source, name)[k]
+    earlier = np.array([pair.earlier for pair in pairs])
+    seen = seen._replace(given=given, **columns)
+    return replace(
+        state,
+        seen=seen.select(~np.isin(seen.label, earlier)),
+        lost=state.lost.select(~np.isin(state.lost.label, earlier)),
+        pairs=(*state.pairs, *pairs)[-MOST_PAIRS:],
+    )

@@ -21,7 +21,17 @@ from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import Checked, NonNegative, PositiveCount
 from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.protocols import Associator, Model
-from phdtrack.types import F8, I8, Bool, Detections, Estimates, MeasurementHistory, Return, Tracks
+from phdtrack.types import (
+    F8,
+    I8,
+    Bool,
+    Detections,
+    Estimates,
+    Exchange,
+    MeasurementHistory,
+    Return,
+    Tracks,
+)
 
 A = TypeVar("A")
 # Identities that are remembered online, besides those in view: cameras run for days.
@@ -97,6 +107,10 @@ class FalseTrackRejection(Checked, Generic[A]):
     def returns(self, state: RejectionState[A]) -> tuple[Return, ...]:
         """The identities that targets have taken again, oldest first."""
         return self.associator.returns(state.inner)
+
+    def exchanges(self, state: RejectionState[A]) -> tuple[Exchange, ...]:
+        """The identities that targets have exchanged, oldest first."""
+        return self.associator.exchanges(state.inner)
 
     def oldest(self, state: RejectionState[A]) -> int:
         """The number of the first frame that is remembered."""

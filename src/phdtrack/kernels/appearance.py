@@ -265,22 +265,33 @@ def likeness(mean: F4, number: F8, before: I8, after: I8, looks: Looks) -> F8:
     is known.
     """
     looks = named(looks)
-    law = looks.law
     direction = directions(mean, looks.mean)
-    errors = (1.0 - law.signal) / law.signal
     out = np.zeros(before.size)
     for q in range(before.size):
         a = before[q]
         b = after[q]
-        if number[a] > 0.0 and number[b] > 0.0 and law.means_weight > 0.0:
-            s = similarity_of(direction, a, direction, b)
-            same = law.means_same
-            same /= math.sqrt((1.0 + errors / number[a]) * (1.0 + errors / number[b]))
-            gain = math.exp(
-                _gain(s, same, law.means_deviation, law.means_other, law.means_other_deviation)
-            )
-            out[q] = law.means_weight * math.log((1.0 - CHANCE) * gain + CHANCE)
+        out[q] = ratio_of_means(direction, a, number[a], direction, b, number[b], looks.law)
     return out
+
+
+@njit(**INNER)
+def ratio_of_means(
+    before: F4, a: int, before_number: float, after: F4, b: int, after_number: float, law: Law
+) -> float:
+    """log p(s | the same object)/p(s | another object) of mean a of ``before`` and mean b of
+    ``after``, s their similarity [APP (5)]; 0 where one of them is not known.
+
+    ``before``, ``after``: of `directions`. ``before_number``, ``after_number``: of how many
+    independent descriptors each is the mean.
+    """
+    if not (before_number > 0.0 and after_number > 0.0 and law.means_weight > 0.0):
+        return 0.0
+    s = similarity_of(before, a, after, b)
+    errors = (1.0 - law.signal) / law.signal
+    same = law.means_same
+    same /= math.sqrt((1.0 + errors / before_number) * (1.0 + errors / after_number))
+    gain = math.exp(_gain(s, same, law.means_deviation, law.means_other, law.means_other_deviation))
+    return law.means_weight * math.log((1.0 - CHANCE) * gain + CHANCE)
 
 
 @njit(**ENTRY)

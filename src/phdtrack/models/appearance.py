@@ -26,6 +26,8 @@ SPANS = (0.5, 2.0, 8.0)
 PAUSE = 0.2
 LEAST_FREE = 0.5
 REMEMBERED = 3000.0
+# Lessons that are worth one: those of one target are not independent.
+ALIKE = 5.0
 # Descriptors that the mean of the stream is made of, at most.
 MEAN_OF = 3000.0
 # The least deviation of similarity, and for how many lessons the usual one counts.
@@ -91,7 +93,7 @@ class Appearance(Checked):
     """
 
     memory: Positive = 3.0
-    prior_lessons: NonNegative = 50.0
+    prior_lessons: NonNegative = 2.0
     reidentify_within: NonNegative = 0.0
 
     def start(self) -> AppearanceSeen:
@@ -161,7 +163,7 @@ class Appearance(Checked):
         other = t / others
         other_variance = (max(tt - others * other**2, 0.0) + usual) / (others + USUAL_FOR)
         return Law(
-            TRUST * least / (least + self.prior_lessons),
+            TRUST * self.worth((number, same, variance), (others, other, other_variance)),
             same,
             fading,
             max(math.sqrt(variance), LEAST_DEVIATION),
@@ -173,6 +175,25 @@ class Appearance(Checked):
             *self._means(lessons.means, signal),
             within,
         )
+
+    def worth(self, same: tuple[float, float, float], other: tuple[float, float, float]) -> float:
+        """How much similarity is worth, from 0 to 1: the less, the nearer to its standard error the
+        difference of the two means is (James and Stein), and the fewer lessons there were.
+
+        Parameters
+        ----------
+        same, other : number of lessons, mean and variance of the similarity of one object, and of
+            two.
+        """
+        number, mean, variance = same
+        others, other_mean, other_variance = other
+        difference = mean - other_mean
+        if difference <= 0:
+            return 0.0
+        error = ALIKE * (variance / number + other_variance / others)
+        least = min(number, others)
+        certain = max(1 - error / difference**2, 0.0)
+        return certain * least / (least + self.prior_lessons)
 
     def _means(self, means: F8, signal: float) -> tuple[float, float, float, float, float]:
         """`Law.means_weight` and what follows it."""
@@ -186,7 +207,7 @@ class Appearance(Checked):
         variance = (max(ss - number * same**2, 0.0) + usual) / (number + USUAL_FOR)
         other_variance = (max(tt - others * other**2, 0.0) + usual) / (others + USUAL_FOR)
         return (
-            least / (least + self.prior_lessons),
+            self.worth((number, same, variance), (others, other, other_variance)),
             same,
             max(math.sqrt(variance), LEAST_DEVIATION),
             other,

@@ -107,12 +107,12 @@ class AppearanceWorth:
     def few(self) -> bool:
         """True if there were too few pairs to learn anything."""
         pairs = min(int(self.same.sum()), int(self.other.sum()))
-        return pairs < FEWEST or self.law.weight < LIGHTEST
+        return pairs < FEWEST
 
     @property
     def alike(self) -> bool:
         """True if all objects look alike."""
-        return not self.few and self.told_apart < ALIKE
+        return not self.few and (self.told_apart < ALIKE or self.law.weight < LIGHTEST)
 
     @property
     def edges(self) -> F8:

@@ -126,6 +126,14 @@ def _told(progress: Progress, record: RunRecord) -> dict[str, object]:
         told["identities_given_back"] = [
             each._replace(odds=round(each.odds, 2))._asdict() for each in record.appearance.returns
         ]
+        told["identities_exchanged"] = [
+            {
+                "identities": list(each.identities),
+                "frame": each.frame,
+                "odds": round(each.odds, 2),
+            }
+            for each in progress.tracker.exchanges
+        ]
     if progress.resumed:
         told["resumed_from_frame"] = progress.resumed
     if progress.reused:

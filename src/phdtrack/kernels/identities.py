@@ -1,0 +1,374 @@
+"""The looks of identities, and which two targets look as if they had exchanged theirs
+(docs/methods.md, Appearance) [APP (5)], [APP (6)].
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from phdtrack.kernels import F4, F8, I8, Bool
+from phdtrack.kernels.appearance import MOST, Law, Looks, directions, named, ratio_of_means
+from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import ENTRY, INNER
+
+# Two labels as one number, the lower one first: for fewer labels than this.
+LABELS = 1 << 31
+
+
+class Seen(NamedTuple):
+    """The knowledge of targets (K,), ascending by label.
+
+    ``label``. ``identity``: of a target that is followed no more, 0 where it is not known.
+    ``first``, ``last``: seconds of its first and last detection; ``began``, ``ended`` (K, 2): frame
+    and row of these. ``xyxy`` (K, 4): its last box. ``detections``: how many it had. ``given``: it
+    has the identity of another one. ``alive``: it is followed.
+
+    ``mean`` (K, D), ``weight``, ``number``: of what its identity looks like, as of
+    `kernels.appearance.Pasts`; ``lately`` (K, D), ``lately_weight``, ``lately_number``: of what the
+    target has looked like just now; ``clear``: seconds of the last detection that they are of.
+    """
+
+    label: I8
+    identity: I8
+    first: F8
+    last: F8
+    began: I8
+    ended: I8
+    xyxy: F8
+    detections: I8
+    given: Bool
+    alive: Bool
+    mean: F4
+    weight: F8
+    number: F8
+    lately: F4
+    lately_weight: F8
+    lately_number: F8
+    clear: F8
+
+    def select(self, index: I8 | Bool) -> Seen:
+        """The rows at ``index``."""
+        return Seen._make(column[index] for column in self)
+
+    def followed_by(self, others: Seen) -> Seen:
+        """The targets, and then others."""
+        return Seen._make(map(np.concatenate, zip(self, others, strict=True)))
+
+
+class Present(NamedTuple):
+    """The confirmed targets (n,) of a frame that have a detection.
+
+    ``label``; ``column``: its measurement; ``row``: the `Detections.row` of it. ``xyxy`` (n, 4).
+    ``clear``: the part of the box that no other target's box covers. ``mean`` (n, D), ``number``:
+    of what its past looks like.
+    """
+
+    label: I8
+    column: I8
+    row: I8
+    xyxy: F8
+    clear: F8
+    mean: F4
+    number: F8
+
+
+def nobody(size: int) -> Seen:
+    """No targets, of descriptors of length ``size``."""
+    none = np.zeros(0)
+    count = np.zeros(0, np.int64)
+    pairs = np.zeros((0, 2), np.int64)
+    looks = np.zeros((0, size), np.float32)
+    false = np.zeros(0, np.bool_)
+    boxes = np.zeros((0, 4))
+    return Seen(
+        *(count, count, none, none, pairs, pairs, boxes, count, false, false),
+        *(looks, none, none, looks, none, none, none),
+    )
+
+
+@njit(**ENTRY)
+def seen_after(
+    seen: tuple[Any, ...],
+    present: tuple[Any, ...],
+    frame: int,
+    followed: I8,
+    looks: Looks,
+    memories: tuple[float, float],
+) -> tuple[Any, ...]:
+    """`Seen` after a frame.
+
+    Parameters
+    ----------
+    seen, present : `Seen` before, and `Present`.
+    frame : its number.
+    followed : labels of all targets that are followed, ascending.
+    memories : seconds after which what an identity and a target look like count for 37 %.
+    """
+    before = Seen(*seen)
+    now = Present(*present)
+    looks = named(looks)
+    fresh = _new(before.label, now.label)
+    out = _with_room(before, now.label[fresh], looks.mean.size)
+    place = np.searchsorted(out.label, now.label)
+    for each in range(fresh.size):
+        _begin(out, place[fresh[each]], now, fresh[each], frame, looks.time)
+    for k in range(now.label.size):
+        p = place[k]
+        j = now.column[k]
+        out.last[p] = looks.time
+        out.ended[p, 0] = frame
+        out.ended[p, 1] = now.row[k]
+        out.xyxy[p] = now.xyxy[k]
+        out.detections[p] += 1
+        share = min(looks.free[j], now.clear[k])
+        if share > 0.0 and looks.time > out.clear[p]:
+            _look(out, p, looks, j, share, memories)
+    for t in range(out.label.size):
+        at = np.searchsorted(followed, out.label[t])
+        out.alive[t] = at < followed.size and followed[at] == out.label[t]
+    return tuple(out)
+
+
+@njit(**INNER)
+def _new(known: I8, label: I8) -> I8:
+    """The places of labels that are not among the ``known``, ascending by label."""
+    place = np.searchsorted(known, label)
+    out = np.empty(label.size, np.int64)
+    n = 0
+    for k in range(label.size):
+        if place[k] == known.size or known[place[k]] != label[k]:
+            out[n] = k
+            n += 1
+    return out[:n][np.argsort(label[out[:n]])]
+
+
+@njit(**INNER)
+def _begin(out: Seen, p: int, now: Present, k: int, frame: int, time: float) -> None:
+    """Write what is known of present target k, which is new, into row p."""
+    out.first[p] = time
+    out.began[p, 0] = frame
+    out.began[p, 1] = now.row[k]
+    out.mean[p] = now.mean[k]
+    out.lately[p] = now.mean[k]
+    out.weight[p] = now.number[k]
+    out.lately_weight[p] = min(now.number[k], 1.0)
+    out.number[p] = now.number[k]
+    out.lately_number[p] = min(now.number[k], 1.0)
+    out.clear[p] = time
+
+
+@njit(**INNER)
+def _with_room(before: Seen, label: I8, size: int) -> Seen:
+    """A copy with rows for new labels, ascending; ``size`` is the length of descriptors."""
+    count = before.label.size + label.size
+    out = Seen(
+        np.empty(count, np.int64),
+        np.zeros(count, np.int64),
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros((count, 2), np.int64),
+        np.zeros((count, 2), np.int64),
+        np.zeros((count, 4)),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.bool_),
+        np.zeros(count, np.bool_),
+        np.zeros((count, size), np.float32),
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros((count, size), np.float32),
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros(count),
+    )
+    old = 0
+    new = 0
+    for p in range(count):
+        if new < label.size and (old == before.label.size or label[new] < before.label[old]):
+            out.label[p] = label[new]
+            new += 1
+            continue
+        out.label[p] = before.label[old]
+        out.identity[p] = before.identity[old]
+        out.first[p] = before.first[old]
+        out.last[p] = before.last[old]
+        out.began[p] = before.began[old]
+        out.ended[p] = before.ended[old]
+        out.xyxy[p] = before.xyxy[old]
+        out.detections[p] = before.detections[old]
+        out.given[p] = before.given[old]
+        out.mean[p] = before.mean[old]
+        out.weight[p] = before.weight[old]
+        out.number[p] = before.number[old]
+        out.lately[p] = before.lately[old]
+        out.lately_weight[p] = before.lately_weight[old]
+        out.lately_number[p] = before.lately_number[old]
+        out.clear[p] = before.clear[old]
+        old += 1
+    return out
+
+
+@njit(**INNER)
+def _look(
+    out: Seen, p: int, looks: Looks, j: int, share: float, memories: tuple[float, float]
+) -> None:
+    """Take detection j into what target p and its identity look like."""
+    seconds = looks.time - out.clear[p]
+    rho = math.exp(-seconds / looks.law.independent)
+    new = share * (1.0 - rho) / (1.0 + rho)
+    own, short = memories
+    kept = math.exp(-seconds / own)
+    out.weight[p] = out.weight[p] * kept + share
+    out.number[p] = max(out.number[p] * kept + new, 1.0)
+    part = np.float32(share / out.weight[p])
+    kept = math.exp(-seconds / short)
+    out.lately_weight[p] = out.lately_weight[p] * kept + share
+    out.lately_number[p] = max(out.lately_number[p] * kept + new, 1.0)
+    lately_part = np.float32(share / out.lately_weight[p])
+    for d in range(looks.mean.size):
+        out.mean[p, d] += part * (looks.raw[j, d] - out.mean[p, d])
+        out.lately[p, d] += lately_part * (looks.raw[j, d] - out.lately[p, d])
+    out.clear[p] = looks.time
+
+
+@njit(**ENTRY)
+def met_after(
+    met: I8, when: F8, known: I8, targets: tuple[I8, F8], time: float, rules: tuple[float, float]
+) -> tuple[I8, F8]:
+    """The pairs of targets that have met, and seconds when they last did, after a frame.
+
+    Parameters
+    ----------
+    met, when : (M,) pairs, ascending, a·`LABELS` + b of labels a < b, and seconds.
+    known : labels of the targets that are remembered, ascending. Pairs of others are forgotten.
+    targets : labels (n,), ascending, and boxes (n, 4) of all targets of the frame.
+    time : seconds.
+    rules : targets meet where boxes overlap that are larger by this part; pairs are remembered for
+        as many seconds.
+    """
+    label, boxes = targets
+    larger, kept = rules
+    half = 0.5 * (1.0 + larger)
+    remembered = np.empty(label.size, np.bool_)
+    for a in range(label.size):
+        p = np.searchsorted(known, label[a])
+        remembered[a] = p < known.size and known[p] == label[a]
+    near = _near(label[remembered], boxes[remembered], half)
+    n = near.size
+    out = np.empty(met.size + n, np.int64)
+    seconds = np.empty(met.size + n)
+    count = 0
+    k = 0
+    for m in range(met.size):
+        while k < n and near[k] < met[m]:
+            out[count] = near[k]
+            seconds[count] = time
+            count += 1
+            k += 1
+        if k < n and near[k] == met[m]:
+            continue
+        a = np.searchsorted(known, met[m] // LABELS)
+        b = np.searchsorted(known, met[m] % LABELS)
+        here = a < known.size and b < known.size
+        here = here and known[a] == met[m] // LABELS and known[b] == met[m] % LABELS
+        if here and time - when[m] <= kept:
+            out[count] = met[m]
+            seconds[count] = when[m]
+            count += 1
+    while k < n:
+        out[count] = near[k]
+        seconds[count] = time
+        count += 1
+        k += 1
+    return out[:count].copy(), seconds[:count].copy()
+
+
+@njit(**INNER)
+def _near(label: I8, boxes: F8, half: float) -> I8:
+    """The pairs of labels, ascending, whose boxes overlap if their sides are 2·``half`` times as
+    long.
+    """
+    count = label.size
+    x = 0.5 * (boxes[:, 0] + boxes[:, 2])
+    y = 0.5 * (boxes[:, 1] + boxes[:, 3])
+    width = half * (boxes[:, 2] - boxes[:, 0])
+    height = half * (boxes[:, 3] - boxes[:, 1])
+    left = x - width
+    order = np.argsort(left)
+    out = np.empty(4 * count + 16, np.int64)
+    n = 0
+    for i in range(count):
+        a = order[i]
+        right = x[a] + width[a]
+        for k in range(i + 1, count):
+            b = order[k]
+            if left[b] >= right:
+                break
+            if abs(y[a] - y[b]) < height[a] + height[b]:
+                if n == out.size:
+                    more = np.empty(2 * n, np.int64)
+                    more[:n] = out
+                    out = more
+                out[n] = min(label[a], label[b]) * LABELS + max(label[a], label[b])
+                n += 1
+    return np.sort(out[:n])
+
+
+@njit(**ENTRY)
+def exchange_odds(
+    seen: tuple[Any, ...], met: I8, looks: Looks, prior: tuple[float, float], least: float
+) -> F8:
+    """(M,) the log odds that the targets of each pair have exchanged their identities [APP (6)]; −∞
+    where that cannot be known, or they are below 0.
+
+    Parameters
+    ----------
+    seen, met : `Seen`, and pairs of `met_after`.
+    prior : the log odds of pairs of which nothing is known, both followed, and one not.
+    least : independent descriptors of what a target has looked like just now that this needs.
+    """
+    known = Seen(*seen)
+    looks = named(looks)
+    out = np.full(met.size, -np.inf)
+    if met.size == 0 or not looks.law.means_weight > 0.0:
+        return out
+    directions_of = directions(known.mean, looks.mean), directions(known.lately, looks.mean)
+    fits = np.empty(known.label.size)
+    seen_now = np.empty(known.label.size, np.bool_)
+    for a in range(known.label.size):
+        fits[a] = _fit(known, directions_of, a, a, looks.law)
+        seen_now[a] = _is_seen(known, a, looks.time, least)
+    for m in range(met.size):
+        a = np.searchsorted(known.label, met[m] // LABELS)
+        b = np.searchsorted(known.label, met[m] % LABELS)
+        if not (seen_now[a] or seen_now[b]) or (known.alive[a] and not seen_now[a]):
+            continue
+        if known.alive[b] and not seen_now[b]:
+            continue
+        odds = prior[0] if seen_now[a] and seen_now[b] else prior[1]
+        odds -= seen_now[a] * fits[a] + seen_now[b] * fits[b]
+        # No ratio of likelihoods is larger than this.
+        if odds + (seen_now[a] + seen_now[b]) * MOST <= 0.0:
+            continue
+        if seen_now[a]:
+            odds += _fit(known, directions_of, a, b, looks.law)
+        if seen_now[b]:
+            odds += _fit(known, directions_of, b, a, looks.law)
+        out[m] = odds
+    return out
+
+
+@njit(**INNER)
+def _is_seen(known: Seen, a: int, time: float, least: float) -> bool:
+    """True if target a is detected now and enough is known of how it looks."""
+    return bool(known.alive[a] and known.last[a] == time and known.lately_number[a] >= least)
+
+
+@njit(**INNER)
+def _fit(known: Seen, directions_of: tuple[F4, F4], a: int, b: int, law: Law) -> float:
+    """The log-likelihood ratio that target a, as it looks just now, has the identity of b."""
+    own, lately = directions_of
+    ratio: float = ratio_of_means(own, b, known.number[b], lately, a, known.lately_number[a], law)
+    return ratio

@@ -1,0 +1,232 @@
+"""Identities that two targets exchange, where they look as if they had taken each other's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appearance_cases import DARK, FPS, FRAMES, HIDDEN, LOOKS, SIZE, D, meeting, tracker_of
+from phdtrack import Tracker
+from phdtrack.associate.reidentification import (
+    EXCHANGED,
+    EXCHANGED_WITH_LOST,
+    Names,
+    Returns,
+    exchanged,
+    exchanges,
+    given_back,
+)
+from phdtrack.kernels.appearance import UNKNOWN, Looks, likeness, plain
+from phdtrack.kernels.identities import LABELS, exchange_odds, met_after, nobody
+from phdtrack.state import from_bytes, to_bytes
+from phdtrack.types import Tracks
+from tracker_cases import equal
+
+
+def identities(rows: list[Tracks], k: int) -> tuple[int, int]:
+    """Of the two, in frame k."""
+    found = [np.flatnonzero(rows[k].detection == j) for j in (0, 1)]
+    return tuple(int(rows[k].identity[at[0]]) if len(at) else 0 for at in found)
+
+
+@pytest.mark.parametrize("turn", [False, True])
+def test_two_who_meet_keep_their_identities(turn: bool):
+    """Whether they go on or turn back, which motion cannot know: from 1.5 s after both are seen."""
+    tracker = tracker_of()
+    rows = [tracker.update(found) for found in meeting(turn)]
+    before = identities(rows, HIDDEN[0] - 5)
+    assert 0 not in before
+    for k in range(DARK[-1] + round(1.5 * FPS), FRAMES):
+        assert identities(rows, k) == before
+
+
+def test_an_exchange_is_told():
+    """What motion gets wrong is in `Tracker.exchanges`, and two have no one identity in a frame."""
+    told = list[int]()
+    for turn in (False, True):
+        tracker = tracker_of()
+        rows = [tracker.update(found) for found in meeting(turn)]
+        two = set(identities(rows, HIDDEN[0] - 5))
+        for each in tracker.exchanges:
+            assert set(each.identities) == two
+            assert each.odds > 1
+            assert HIDDEN[0] < each.frame <= DARK[-1] + 1.5 * FPS
+        told.append(len(tracker.exchanges))
+        for row in rows:
+            assert len(set(row.identity.tolist())) == len(row)
+    assert sum(told) >= 1
+
+
+@pytest.mark.parametrize("kind", ["alike", "no looks"])
+def test_where_both_look_alike_nothing_is_exchanged(kind: str):
+    looks = LOOKS.copy()
+    looks[1] = looks[0]
+    for turn in (False, True):
+        tracker = tracker_of()
+        for found in meeting(turn, looks):
+            tracker.update(replace(found, embeddings=None) if kind == "no looks" else found)
+        assert tracker.exchanges == ()
+
+
+def test_a_saved_state_exchanges_the_same():
+    frames = meeting(turn=True)
+    for until in (HIDDEN[4], DARK[-1] + 3):
+        whole = tracker_of()
+        for found in frames[:until]:
+            whole.update(found)
+        again = tracker_of()
+        again.load_state_dict(from_bytes(to_bytes(whole.state_dict())))
+        for found in frames[until:]:
+            assert equal(whole.update(found), again.update(found))
+        assert whole.exchanges == again.exchanges
+
+
+def test_other_filters_exchange_nothing():
+    tracker = Tracker(SIZE, fps=25, filter="gm-phd")
+    tracker.update(np.array([[10.0, 10, 50, 90]]), embeddings=np.ones((1, 4)))
+    assert tracker.exchanges == ()
+
+
+def test_pairs_that_meet_are_those_whose_boxes_nearly_touch(rng: np.random.Generator):
+    """Against a plain definition; known targets only, and pairs are forgotten after a time."""
+    known = np.arange(0, 40, 2)
+    expected = dict[int, float]()
+    met = np.zeros(0, np.int64)
+    when = np.zeros(0)
+    for k in range(30):
+        label = np.sort(rng.permutation(40)[:12])
+        corner = rng.uniform(0, 300, (12, 2))
+        boxes = np.hstack([corner, corner + rng.uniform(10, 60, (12, 2))])
+        time = 1.5 * k
+        met, when = met_after(met, when, known, (label, boxes), time, (0.25, 5.0))
+        center = 0.5 * (boxes[:, :2] + boxes[:, 2:])
+        half = 0.5 * 1.25 * (boxes[:, 2:] - boxes[:, :2])
+        for a in range(12):
+            for b in range(a + 1, 12):
+                both = label[a] in known and label[b] in known
+                if both and (abs(center[a] - center[b]) < half[a] + half[b]).all():
+                    expected[int(label[a]) * LABELS + int(label[b])] = time
+        expected = {pair: last for pair, last in expected.items() if time - last <= 5}
+        assert met.tolist() == sorted(expected)
+        assert when.tolist() == [expected[pair] for pair in sorted(expected)]
+    assert len(met)
+    met, _ = met_after(met, when, known[:0], (label, boxes), time, (0.25, 5.0))
+    assert not len(met)
+
+
+def state_of(own: np.ndarray, lately: np.ndarray, alive: list[bool]) -> Returns:
+    """Targets 3, 5, … that have all met, with these looks."""
+    n = len(own)
+    label = 3 + 2 * np.arange(n)
+    pairs = [a * LABELS + b for i, a in enumerate(label) for b in label[i + 1 :]]
+    seen = nobody(D)._replace(
+        label=label,
+        identity=np.where(alive, 0, 100 + label),
+        first=np.zeros(n),
+        last=np.where(alive, 9.0, 8.0),
+        began=np.zeros((n, 2), np.int64),
+        ended=np.zeros((n, 2), np.int64),
+        xyxy=np.tile([0.0, 0, 20, 40], (n, 1)),
+        detections=np.full(n, 90),
+        given=np.zeros(n, np.bool_),
+        alive=np.array(alive),
+        mean=own.astype(np.float32),
+        weight=np.full(n, 9.0),
+        number=np.full(n, 9.0),
+        lately=lately.astype(np.float32),
+        lately_weight=np.full(n, 3.0),
+        lately_number=np.full(n, 2.0),
+        clear=np.full(n, 9.0),
+    )
+    return Returns(
+        seen=seen, lost=nobody(D), met=np.array(pairs), when=np.full(len(pairs), 8.5), time=9.0
+    )
+
+
+def looks_of(time: float = 9.0) -> Looks:
+    law = UNKNOWN._replace(
+        means_weight=0.9,
+        means_same=0.8,
+        means_deviation=0.1,
+        means_other_deviation=0.2,
+        within=math.inf,
+    )
+    none = np.zeros((0, D), np.float32)
+    return Looks(none, none, np.zeros(D, np.float32), np.zeros(0), law, time, 3.0)
+
+
+NAMES = Names(np.array([3, 5, 7]), np.array([11, 12, 13]))
+
+
+def test_odds_are_those_of_the_four_likelihoods(rng: np.random.Generator):
+    """p(looks | exchanged)/p(looks | as they are), with the prior; of a lost one no looks count."""
+    own = rng.normal(0, 1, (3, D))
+    # Each looks a little like the next one.
+    lately = 0.4 * own + 0.7 * own[[1, 2, 0]]
+    state = state_of(own, lately, [True, True, False])
+    both = np.vstack([own, lately]).astype(np.float32)
+    number = np.array([9.0] * 3 + [2.0] * 3)
+    before, after = np.indices((3, 3)).reshape(2, -1)
+    fits = likeness(both, number, before, 3 + after, plain(looks_of())).reshape(3, 3)
+    ratios = np.array(
+        [
+            fits[0, 1] + fits[1, 0] - fits[0, 0] - fits[1, 1],
+            fits[2, 0] - fits[0, 0],
+            fits[2, 1] - fits[1, 1],
+        ]
+    )
+    for prior in ((30.0, 20.0), (EXCHANGED, EXCHANGED_WITH_LOST)):
+        odds = exchange_odds(tuple(state.seen), state.met, plain(looks_of()), prior, 1.5)
+        expected = ratios + np.array([prior[0], prior[1], prior[1]])
+        possible = np.isfinite(odds)
+        np.testing.assert_allclose(odds[possible], expected[possible], rtol=1e-6)
+        assert (expected[~possible] <= 0).all()
+        assert possible.all() == (prior[0] > 0)
+    unseen = state.seen._replace(lately_number=np.array([2.0, 1.0, 2.0]))
+    odds = exchange_odds(tuple(unseen), state.met, plain(looks_of()), (30.0, 30.0), 1.5)
+    assert np.isneginf(odds).tolist() == [True, False, True]
+
+
+def test_a_target_takes_the_identity_of_a_lost_one():
+    """It hid another, which the filter then dropped, and went on with the wrong one: the lost one's
+    identity is the target's, and the target's is that of one who is lost.
+    """
+    own = np.eye(3, D)
+    lately = own[[1, 1, 2]]
+    state = state_of(own, lately, [True, False, True])
+    (found,) = exchanges(state, looks_of(), 77, NAMES)
+    assert found.labels == (3, 5)
+    assert found.identities == (11, 105)
+    assert found.frame == 77
+    state = exchanged(state, [found])
+    np.testing.assert_array_equal(state.seen.mean, own[[1, 0, 2]])
+    assert state.seen.identity.tolist() == [0, 11, 0]
+    assert state.exchanges == (found,)
+    assert exchanges(state, looks_of(), 78, NAMES) == []
+    # Somebody who looks like the first one then has that one's identity.
+    seen = state.seen._replace(
+        first=np.array([0.0, 0, 8.9]), mean=own[[1, 0, 0]], detections=np.array([90, 90, 5])
+    )
+    state = replace(state, seen=seen, extent=(0, 0, 100, 100), begun=0.0, confirmed=3)
+    (back,) = given_back(state, looks_of())
+    assert (back.earlier, back.later, back.identity) == (5, 7, 11)
+
+
+def test_three_exchange_in_turn():
+    """Each has the identity of the next: two exchanges, one frame after the other, put it right."""
+    own = np.eye(3, D)
+    state = state_of(own, own[[1, 2, 0]], [True, True, True])
+    names = NAMES
+    for k in range(2):
+        found = exchanges(state, looks_of(), k, names)
+        assert len(found) == 1
+        identity = names.identity.copy()
+        at = np.searchsorted(names.label, found[0].labels)
+        identity[at] = identity[at[::-1]]
+        names = Names(names.label, identity)
+        state = exchanged(state, found)
+    assert names.identity.tolist() == [12, 13, 11]
+    assert exchanges(state, looks_of(), 3, names) == []
