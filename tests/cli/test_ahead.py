@@ -1,5 +1,5 @@
 """Stages in threads: order, values and errors of the plain loop, a bounded number of items, nothing
-left behind.
+left behind. Work beside a block: begun at once, its errors dropped.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 
 import pytest
 
-from phdtrack.run.pipeline_threads import ahead
+from phdtrack.run.pipeline_threads import ahead, beside
 
 WAIT = 20.0
 
@@ -121,3 +121,36 @@ def test_the_number_of_living_frames_is_bounded() -> None:
     # Two under way on each of two belts, one held by each of the two takers, one being made by the
     # source.
     assert most <= 2 * 2 + 2 + 1
+
+
+def test_work_beside_a_block_is_done_at_its_end() -> None:
+    begun = threading.Event()
+    done = list[str]()
+
+    def work() -> None:
+        begun.set()
+        time.sleep(0.05)
+        done.append(threading.current_thread().name)
+
+    with beside(work):
+        assert begun.wait(WAIT)
+    assert done == ["phdtrack beside"]
+
+
+def test_errors_beside_a_block_are_dropped() -> None:
+    def work() -> None:
+        raise ValueError("not needed yet")
+
+    with beside(work):
+        pass
+    with pytest.raises(OSError, match="of the block"), beside(work):
+        raise OSError("of the block")
+
+
+def test_a_block_does_not_wait_for_work_that_hangs() -> None:
+    go_on = threading.Event()
+    began = time.monotonic()
+    with beside(go_on.wait):
+        pass
+    assert time.monotonic() - began < WAIT / 2
+    go_on.set()

@@ -229,6 +229,24 @@ def test_a_signal_is_not_lost_where_python_drops_what_is_raised() -> None:
     assert (done.returncode, done.stderr) == (143, "")
 
 
+def test_a_command_ends_with_exit_functions_and_files_closed(tmp_path: Path) -> None:
+    """Garbage is not looked for any more, but whatever is to be done at the end is done."""
+    code = (
+        "import atexit, sys\n"
+        "from phdtrack.cli import signals\n"
+        "atexit.register(print, 'exit function')\n"
+        "file = open(sys.argv[1], 'w')\n"
+        "file.write('not flushed')\n"
+        "signals.listen()\n"
+        "signals.leave(3)\n"
+    )
+    file = tmp_path / "file.txt"
+    command = [sys.executable, "-c", code, str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (3, "exit function\n", "")
+    assert file.read_text() == "not flushed"
+
+
 def test_an_early_signal_ends_the_command() -> None:
     done = ended(["settings"], ("threading", "Thread", "start", 1), "SIGTERM")
     assert (done.returncode, done.stderr.strip()) == (143, "phdtrack: stopped")

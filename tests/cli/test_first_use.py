@@ -124,6 +124,29 @@ def test_without_any_folder_it_runs_and_says_how_to_mend_it(
     assert list(temporary.iterdir()) == []
 
 
+def test_kernels_are_kept_once_one_is_compiled(tmp_path: Path) -> None:
+    program = (
+        "from phdtrack.kernels.cache import are_kept\n"
+        "from phdtrack.run.inputs import _load_first_kernel\n"
+        "before = are_kept()\n"
+        "_load_first_kernel()\n"
+        "print(before, are_kept())\n"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env=environment | {"NUMBA_DISABLE_JIT": disabled},
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=120,
+        ).stdout.split()
+        for disabled in "001"
+    ]
+    assert said == [["False", "True"], ["True", "True"], ["False", "False"]]
+
+
 RECORD = """
 import sys
 from typing import NamedTuple

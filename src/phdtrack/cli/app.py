@@ -9,6 +9,7 @@ stderr.
 from __future__ import annotations
 
 import functools
+import gc
 import inspect
 import os
 import sys
@@ -63,6 +64,9 @@ COMMANDS = {
 # Seconds after which a thread gives the interpreter to one that waits: the threads of a run need it
 # often, each time briefly.
 _SWITCH = 1e-5
+# Containers made after which the interpreter looks for garbage, 700 by default: loading modules and
+# kernels makes hundreds of thousands that stay, and looking through them took a tenth of the time.
+_GARBAGE = 10_000
 _MODULES = {"demo": "simulate", "settings": "show_settings"}
 _SUMMARY = (
     "From a video, or any detector's boxes, to tracks: a filter of random finite sets between"
@@ -227,6 +231,7 @@ def main() -> None:
         line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
         name = "".join(line.split()[1:2])
     sys.setswitchinterval(_SWITCH)
+    gc.set_threshold(_GARBAGE)
     use_replacements()
     try:
         # A signal may arrive before this has returned.

@@ -9,6 +9,7 @@ compilation, or in an encoder that waits for its file.
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import signal
 import socket
@@ -81,6 +82,8 @@ def leave(code: int) -> None:
         if one is not threading.main_thread() and not one.daemon
     ]
     if not waiting and not _came:
+        # Python would look for garbage in all modules once more, for half a second.
+        gc.freeze()
         sys.exit(code)
     if not waiting:
         # Python would say SIGINT of whatever signal came while a text was executed, as where a

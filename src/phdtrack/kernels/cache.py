@@ -101,6 +101,13 @@ def prepare() -> None:
     stamp.write_text(now)
 
 
+def are_kept() -> bool:
+    """True if kernels of earlier processes are kept, so that they are loaded and not compiled."""
+    if numba.config.DISABLE_JIT:
+        return False
+    return any(_numbas_folder().glob("*.nbi"))
+
+
 def _numbas_folder() -> Path:
     """The folder that Numba uses for functions of this package. Raises `RuntimeError` if it finds
     none.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,14 @@ import numpy as np
 from phdtrack.addresses import shown
 from phdtrack.conventions import Conventions
 from phdtrack.detect import TableDetector, make_detector
-from phdtrack.detect.base import Describer, Detector, class_names, prepared
+from phdtrack.detect.base import (
+    Describer,
+    Detector,
+    StudiesScene,
+    class_names,
+    prepared,
+    unwrapped,
+)
 from phdtrack.detect.convert import within_frame
 from phdtrack.detect.detectors import working_width
 from phdtrack.detect.scene_knowledge import study
@@ -28,10 +35,12 @@ from phdtrack.errors import InputError
 from phdtrack.files import return_memory
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
 from phdtrack.formats.checks import MalformedRows
+from phdtrack.kernels.cache import are_kept
+from phdtrack.kernels.planes import smooth
 from phdtrack.run.camera_input import open_camera
 from phdtrack.run.camera_motion import Mover
 from phdtrack.run.loop import NO_PICTURE, DetectedFrame, detect_frames
-from phdtrack.run.pipeline_threads import ahead
+from phdtrack.run.pipeline_threads import ahead, beside
 from phdtrack.run.reporter import SILENT, Reporter
 from phdtrack.run.requests import (
     WHOLE,
@@ -114,9 +123,21 @@ def study_scene(inputs: Inputs) -> None:
     """Let a detector that learns the scene study a file before its first frame: all of it,
     whatever part is tracked.
     """
-    if inputs.pictures and inputs.again:
+    studies = isinstance(unwrapped(inputs.detector), StudiesScene)
+    if not (studies and inputs.pictures and inputs.again):
+        return
+    loading: AbstractContextManager[None] = nullcontext()
+    if are_kept():
+        # Numba itself takes a third of a second to start; the samples are decoded meanwhile.
+        loading = beside(_load_first_kernel)
+    with loading:
         study(inputs.detector, replace(inputs.source, first=1, last=0), inputs.source.sample)
-        return_memory()
+    return_memory()
+
+
+def _load_first_kernel() -> None:
+    """Start Numba with the first kernel that a detector needs to study the scene."""
+    smooth(np.zeros(6, np.uint8), (2, 2))
 
 
 @contextmanager

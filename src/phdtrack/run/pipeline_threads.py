@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Generator, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TypeVar
 
 # Items under way: one being made, one ready, one to even out stages whose pace varies.
@@ -66,3 +66,23 @@ def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
         slots.release()
         if thread.ident is not None:
             thread.join(_PATIENCE)
+
+
+@contextmanager
+def beside(work: Callable[[], object]) -> Iterator[None]:
+    """Do what the block will need in a thread of its own, from the beginning of the block on.
+
+    An error of the work is dropped: the block meets it itself where it needs the result. When the
+    block is left, by an error or Ctrl-C too, the work is waited for a while.
+    """
+
+    def stage() -> None:
+        with suppress(Exception):
+            work()
+
+    thread = threading.Thread(target=stage, name="phdtrack beside", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join(_PATIENCE)
