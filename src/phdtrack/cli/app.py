@@ -66,7 +66,7 @@ COMMANDS = {
 _SWITCH = 1e-5
 # Containers made after which the interpreter looks for garbage, 700 by default: loading modules and
 # kernels makes hundreds of thousands that stay, and looking through them took a tenth of the time.
-_GARBAGE = 10_000
+_GARBAGE = 5_000
 _MODULES = {"demo": "simulate", "settings": "show_settings"}
 _SUMMARY = (
     "From a video, or any detector's boxes, to tracks: a filter of random finite sets between"

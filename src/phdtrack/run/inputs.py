@@ -130,8 +130,10 @@ def study_scene(inputs: Inputs) -> None:
     if are_kept():
         # Numba itself takes a third of a second to start; the samples are decoded meanwhile.
         loading = beside(_load_first_kernel)
-    with loading:
-        study(inputs.detector, replace(inputs.source, first=1, last=0), inputs.source.sample)
+    whole = replace(inputs.source, first=1, last=0)
+    # At most two pictures at a time: the samples take memory, too.
+    with loading, ahead(whole, 1) as frames:
+        study(inputs.detector, frames, inputs.source.sample)
     return_memory()
 
 
