@@ -27,11 +27,13 @@ def track(
     return Tracks.of(np.arange(first, first + n), identity, boxes, 1.0, np.zeros(n, np.int64))
 
 
-def judged(*tracks: Tracks, used: np.ndarray | None = None, region=None) -> DoubtfulTracks:
-    """The doubt about tracks whose detections are their boxes."""
+def judged(
+    *tracks: Tracks, used: np.ndarray | None = None, region=None, frames: int = FRAMES
+) -> DoubtfulTracks:
+    """The doubt about tracks whose detections are their boxes, in a file of so many frames."""
     rows = Tracks.concatenate(tracks)
     signs = TrackSigns(INFO, region)
-    for number in range(1, FRAMES + 1):
+    for number in range(1, frames + 1):
         signs.see(number)
     signs.add(rows, rows.xyxy if used is None else used)
     return signs.result()
@@ -64,6 +66,58 @@ def test_track_that_stays_in_place_is_doubtful(name: str, doubtful: Tracks) -> N
     found = judged(CROSSING, doubtful)
     assert found.no_motion == pytest.approx(30 / 90), name
     assert found.size_jumps == 0
+
+
+SHORT = 20
+NOISE = np.random.default_rng(3).normal(0, 0.5, (SHORT, 4))
+
+
+def noisy(rows: Tracks) -> Tracks:
+    """The same track with boxes that tremble by half a pixel."""
+    return replace(rows, xyxy=rows.xyxy + NOISE[: len(rows)])
+
+
+def approaching(n: int) -> Tracks:
+    """Somebody far away who comes towards the camera: the lower side moves by half a height."""
+    size = np.linspace(40, 56, n)[:, None]
+    boxes = np.hstack([200 - size / 4, np.full((n, 1), 50.0), 200 + size / 4, 50 + size])
+    return replace(track(1, np.full(n, 190.0)), xyxy=boxes)
+
+
+@pytest.mark.parametrize(
+    ("name", "moving"),
+    [
+        ("walks, and is seen in all of two seconds", track(1, np.linspace(100, 118, SHORT))),
+        ("comes towards the camera", approaching(SHORT)),
+        ("leaves after a second", track(1, np.linspace(366, 380, 10))),
+        ("enters a second before the end", track(1, np.linspace(0, 14, 10), first=SHORT - 9)),
+    ],
+)
+def test_track_that_a_short_file_cuts_may_move(name: str, moving: Tracks) -> None:
+    """It has not moved by its own size yet, but it is on its way."""
+    found = judged(noisy(moving), frames=SHORT)
+    assert found.boxes == len(moving), name
+    assert found.no_motion == 0, name
+
+
+@pytest.mark.parametrize(
+    ("name", "still"),
+    [
+        ("stands", track(1, np.full(SHORT, 100.0))),
+        ("sways", track(1, 100 + 8 * np.sin(np.arange(float(SHORT))))),
+        ("jumps to and fro", track(1, 100 + 12.0 * (np.arange(SHORT) // 3 % 2))),
+        ("shrinks over a minute", track(1, np.linspace(100, 100.6, SHORT))),
+    ],
+)
+def test_track_in_place_is_doubtful_in_a_short_file(name: str, still: Tracks) -> None:
+    assert judged(noisy(still), frames=SHORT).no_motion == 1, name
+
+
+def test_track_that_ends_by_itself_had_its_time() -> None:
+    """Nothing cut it short: it went a part of its size and was gone."""
+    brief = noisy(track(1, np.linspace(100, 112, 10), first=25))
+    assert judged(brief).no_motion == 1
+    assert judged(replace(brief, frame=brief.frame - 24)).no_motion == 0
 
 
 @pytest.mark.parametrize(

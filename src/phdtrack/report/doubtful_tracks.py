@@ -7,7 +7,10 @@ together, or something that only moves in place. Tracks of the last three show o
   once in twenty. A region splits or merges, or takes in a shadow. The height is judged because the
   width of somebody who walks changes with each step, at low frame rates as much.
 * **no motion**: no side of the box ever moves by the object's own size. (The centre of somebody who
-  comes towards the camera hardly moves, the lower side does.)
+  comes towards the camera hardly moves, the lower side does.) A track that the first or last frame
+  cuts short may not have had the time. It moves if its sides go on steadily, so far that it is
+  clear from the noise of its boxes, and fast enough to move by its size within seconds. What sways
+  in place, or stands, does not, however short the file.
 * **inside ends**: the track begins and ends inside the picture. Objects come and go at its border,
   or are there in the first or last frame.
 
@@ -30,6 +33,10 @@ _JUMP = 1.5
 _MAX_JUMPS = 0.05
 # Sizes of the object that a side of its box must move by at least.
 _MIN_TRAVEL = 1.0
+# What had no time for that moves if the way it went at a steady pace is so many times the deviation
+# from that pace, and if it would move by its size within so many seconds.
+_STEADY = 8.0
+_MAX_SECONDS = 10.0
 # A box is at the border within this share of the longer side of the picture. Tracks that begin or
 # end within these seconds of the first or last frame may have been there before or after; at least
 # so many frames.
@@ -103,6 +110,8 @@ class _Track:
     log_size : sum of the logarithms of the boxes' mean side.
     steps, jumps : pairs of successive detections, and those whose height jumps.
     log_height : logarithm of the height of the last detection; NaN before the first.
+    mean : (5,) means of the frame's number and of the boxes' sides.
+    scatter : (5, 5) sums of the products of their deviations from the means.
     """
 
     boxes: int
@@ -113,6 +122,8 @@ class _Track:
     low: F8
     high: F8
     log_size: float
+    mean: F8
+    scatter: F8
     steps: int = 0
     jumps: int = 0
     log_height: float = math.nan
@@ -120,6 +131,8 @@ class _Track:
     @classmethod
     def of(cls, frame: I8, inside: Bool, boxes: F8, log_size: F8) -> _Track:
         """The track of some rows (n,) in the order of their frames."""
+        values = np.column_stack([frame, boxes])
+        mean = values.mean(axis=0)
         return cls(
             boxes=len(frame),
             first=int(frame[0]),
@@ -129,11 +142,18 @@ class _Track:
             low=boxes.min(axis=0),
             high=boxes.max(axis=0),
             log_size=float(log_size.sum()),
+            mean=mean,
+            scatter=(values - mean).T @ (values - mean),
         )
 
     def extend(self, later: _Track) -> None:
         """Append rows of the same track."""
-        self.boxes += later.boxes
+        boxes = self.boxes + later.boxes
+        apart = later.mean - self.mean
+        share = later.boxes / boxes
+        self.scatter = self.scatter + later.scatter + self.boxes * share * np.outer(apart, apart)
+        self.mean = self.mean + share * apart
+        self.boxes = boxes
         self.last = later.last
         self.ends_inside = later.ends_inside
         self.low = np.minimum(self.low, later.low)
@@ -149,22 +169,32 @@ class _Track:
         self.jumps += int((steps > math.log(_JUMP)).sum())
         self.log_height = float(log_height[-1])
 
-    def signs(self, first: float, last: float) -> Bool:
+    def signs(self, first: float, last: float, fps: float) -> Bool:
         """(3,) which signs the track shows: size jumps, no motion, inside ends.
 
-        ``first``, ``last``: frames before and after which an end says nothing.
+        ``first``, ``last``: frames before and after which an end says nothing; ``fps``: frames a
+        second.
         """
         travel = float((self.high - self.low).max())
         size = math.exp(self.log_size / self.boxes)
         begins = self.begins_inside and self.first > first
         ends = self.ends_inside and self.last < last
-        return np.array(
-            [
-                self.jumps > _MAX_JUMPS * self.steps,
-                travel < _MIN_TRAVEL * size,
-                begins and ends,
-            ]
-        )
+        moves = travel >= _MIN_TRAVEL * size
+        if self.first <= first or self.last >= last:
+            moves = moves or self._goes_on(_MIN_TRAVEL * size / (_MAX_SECONDS * fps))
+        return np.array([self.jumps > _MAX_JUMPS * self.steps, not moves, begins and ends])
+
+    def _goes_on(self, least: float) -> bool:
+        """True if a side moves steadily, by ``least`` pixels a frame or more."""
+        variance = float(self.scatter[0, 0])
+        # Two boxes are always on a line.
+        if self.boxes < 3 or not variance > 0:
+            return False
+        pace = self.scatter[0, 1:] / variance
+        squares = np.diagonal(self.scatter)[1:] - pace**2 * variance
+        deviation = np.sqrt(np.maximum(squares, 0.0) / (self.boxes - 2))
+        way = np.abs(pace) * (self.last - self.first)
+        return bool(((np.abs(pace) >= least) & (way > _STEADY * deviation)).any())
 
 
 class TrackSigns:
@@ -180,6 +210,7 @@ class TrackSigns:
 
     def __init__(self, info: SequenceInfo, region: Bool | None = None) -> None:
         self._border = _BORDER * max(info.width, info.height)
+        self._fps = info.fps
         self._cut = max(_MIN_CUT, _CUT * info.fps)
         if region is None:
             region = np.ones((info.height, info.width), np.bool_)
@@ -250,7 +281,7 @@ class TrackSigns:
         """(5,) boxes of the tracks: all, with any sign, with each of the signs."""
         counts = np.zeros(5, np.int64)
         for track in tracks:
-            signs = track.signs(self._first + self._cut, last)
+            signs = track.signs(self._first + self._cut, last, self._fps)
             counts += track.boxes * np.array([True, signs.any(), *signs])
         return counts
 
