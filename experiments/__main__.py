@@ -64,6 +64,9 @@ EXPERIMENTS = {
         "the real sequences without scores, at a third of the rate, and with half of the"
         " detections, compared with other trackers"
     ),
+    "appearance": Experiment(
+        "what appearance is worth: made and real embeddings, colours, people who come back, cost"
+    ),
     "classes": Experiment(
         "overlaid cars and people, tracked with classes, separately, and without classes"
     ),
@@ -115,6 +118,13 @@ def parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="seed of cases that are drawn at random (regimes); default: its own",
+    )
+    out.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="PART",
+        help="make this part of the page anew and keep the others (appearance); may be repeated",
     )
     out.add_argument(
         "--check",
@@ -182,7 +192,15 @@ def run(names: Sequence[str], parsed: argparse.Namespace) -> None:
     for name in names:
         began = time.perf_counter()
         importlib.import_module(f"experiments.{name}").main(
-            Options(parsed.runs, parsed.quick, parsed.out, parsed.jobs, name, parsed.seed)
+            Options(
+                parsed.runs,
+                parsed.quick,
+                parsed.out,
+                parsed.jobs,
+                name,
+                parsed.seed,
+                tuple(parsed.only),
+            )
         )
         print(f"{name}: done in {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
 

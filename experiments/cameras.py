@@ -115,15 +115,21 @@ def track(job: CameraRun) -> None:
         else {"online": online_rows, "corrected": tracker.tracks()}
     )
     for output, tracks in made.items():
-        if folder.parent.name == "mot15":
-            truth = counted(read_truth(folder / "gt" / "gt.txt"))
-            scores = evaluate(truth, tracks, frames=info.frames)
-            values = [str(100 * getattr(scores, score)) for score in SCORES]
-            kept = Path(results) / variant / f"{output}-{sequence}-{detector}.csv"
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_text(",".join(["MOT15", sequence, detector, *values]), encoding="utf-8")
-        else:
-            write_tracks(Path(results) / variant / output / detector / f"{sequence}.txt", tracks)
+        keep(tracks, Path(results) / variant, output, sequence, detector)
+
+
+def keep(tracks: Tracks, place: Path, output: str, sequence: str, detector: str) -> None:
+    """Keep the rows of one case for `scored`: those of new cameras, of MOT15 their scores."""
+    folder = folder_of(sequence)
+    if folder.parent.name != "mot15":
+        write_tracks(place / output / detector / f"{sequence}.txt", tracks)
+        return
+    truth = counted(read_truth(folder / "gt" / "gt.txt"))
+    scores = evaluate(truth, tracks, frames=read_seqinfo(folder).frames)
+    values = [str(100 * getattr(scores, score)) for score in SCORES]
+    place.mkdir(parents=True, exist_ok=True)
+    text = ",".join(["MOT15", sequence, detector, *values])
+    (place / f"{output}-{sequence}-{detector}.csv").write_text(text, encoding="utf-8")
 
 
 def scored(job: tuple[str, str, str]) -> list[Row]:

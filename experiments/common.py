@@ -11,10 +11,11 @@ from __future__ import annotations
 import logging
 import math
 import os
+import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -40,11 +41,19 @@ from phdtrack.types import F8, Detections, DetectionTable, Frame, SequenceInfo, 
 ROOT = Path(__file__).resolve().parents[1]
 # `make peers` makes it.
 PEERS_PYTHON = ROOT / ".venv-peers" / "bin" / "python"
+# Of the peers with appearance: made by hand, `python -m venv .venv-boxmot`, with `boxmot` 25.0.0
+# and torch from pip.
+BOXMOT_PYTHON = ROOT / ".venv-boxmot" / "bin" / "python"
 RESULTS = ROOT / "docs" / "results"
 QUICK_RESULTS = ROOT / "runs" / "experiments-quick"
 PAGES = Path(__file__).parent / "pages"
 # Seconds between progress lines if stderr is not a terminal.
 QUIET = 10.0
+# The first line of the page of a short form, and the line above each part of a page.
+_NO_RESULTS = (
+    "*The short form of an experiment: everything ran, but these figures are no results.*\n\n"
+)
+_PART = "<!-- part: {} -->"
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -65,6 +74,7 @@ class Options:
     name : of the experiment, which may have pages of other names.
     seed : of cases that are drawn at random; None: the experiment's own. Ignored by experiments
         that draw none.
+    only : parts of the page to make; none: all. For experiments whose page has parts.
 
     The folder of the real sequences comes from the environment (`need_data`), because worker
     processes need it too.
@@ -76,6 +86,19 @@ class Options:
     jobs: int = 0
     name: str = ""
     seed: int | None = None
+    only: tuple[str, ...] = ()
+
+    def parts(self, known: Iterable[str], long: Sequence[str] = ()) -> list[str]:
+        """The parts to make, in the order of ``known``: those that were asked for, else all but the
+        ``long`` ones. Raises `InputError` for others.
+        """
+        names = [*known]
+        for name in self.only:
+            if name not in names:
+                raise InputError(
+                    f"expected one of {', '.join(names)}, got {name!r}", where=f"{self.name} --only"
+                )
+        return [name for name in names if name in self.only or not (self.only or name in long)]
 
     def number(self, usual: int, quick: int) -> int:
         """Number of runs: the requested one, else ``quick`` in the short form and ``usual`` in the
@@ -301,19 +324,23 @@ def phdtrack(*arguments: str) -> str:
     return done.stdout
 
 
-def run_peers(name: str, arguments: Sequence[object], jobs: int) -> None:
+def run_peers(
+    name: str, arguments: Sequence[object], jobs: int, python: Path = PEERS_PYTHON
+) -> None:
     """Run the module experiments.NAME_peers in the environment of the peers; ``jobs`` as in
     `Options`. Raises `InputError` if the environment is missing.
     """
-    if not PEERS_PYTHON.is_file():
+    if not python.is_file():
         raise InputError(
             "the peers' scores for this are not kept, so that the peers have to run, and their"
             " environment is missing",
-            where=PEERS_PYTHON,
-            cure="Say make peers",
+            where=python,
+            cure="Say make peers"
+            if python == PEERS_PYTHON
+            else f"experiments.{name}_peers says how",
         )
     print(f"{name}: the peers run in their environment", file=sys.stderr, flush=True)
-    words = [PEERS_PYTHON, "-m", f"experiments.{name}_peers", *arguments]
+    words = [python, "-m", f"experiments.{name}_peers", *arguments]
     if jobs:
         words += ["--jobs", jobs]
     subprocess.run([str(word) for word in words], cwd=ROOT, check=True)
@@ -373,10 +400,7 @@ def write(name: str, options: Options, **values: object) -> Path:
     """
     text = filled(name, **values)
     if options.quick:
-        text = (
-            "*The short form of an experiment: everything ran, but these figures are no"
-            " results.*\n\n" + text
-        )
+        text = _NO_RESULTS + text
     runs = f" --runs {options.runs}" if options.runs else ""
     seed = "" if options.seed is None else f" --seed {options.seed}"
     command = f"python -m experiments {options.name or name}{runs}{seed}"
@@ -385,6 +409,40 @@ def write(name: str, options: Options, **values: object) -> Path:
     path.write_text(text, encoding="utf-8")
     _say(f"{path} is written")
     return path
+
+
+def write_parts(
+    name: str, options: Options, order: Iterable[str], parts: Mapping[str, str]
+) -> Path:
+    """Put new ``parts`` into a page, keep the others that it has, each with its own provenance, and
+    print its path. The page begins with its template.
+
+    The page of a short form has the new ones and those of earlier short forms.
+    """
+    path = options.folder / f"{name}.md"
+    old = path.read_text(encoding="utf-8") if path.is_file() else ""
+    kept = dict(zip(*_parted(old), strict=True))
+    for part, text in parts.items():
+        command = f"python -m experiments {name} --only {part}"
+        command += f" --runs {options.runs}" if options.runs else ""
+        kept[part] = text + made.record_part(
+            options.folder, name, part, command, made.loaded() | _LOADED
+        )
+    text = filled(name)
+    if options.quick:
+        text = _NO_RESULTS + text
+    for part in order:
+        if part in kept:
+            text += f"\n{_PART.format(part)}\n\n{kept[part].strip()}\n"
+    path.write_text(text, encoding="utf-8")
+    _say(f"{path} is written")
+    return path
+
+
+def _parted(text: str) -> tuple[list[str], list[str]]:
+    """The names of the parts of a page of `write_parts`, and their texts."""
+    pieces = re.split(_PART.format(r"(\w+)"), text)
+    return pieces[1::2], pieces[2::2]
 
 
 def pyplot() -> Any:

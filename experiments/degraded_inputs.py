@@ -45,6 +45,11 @@ class CameraCase:
         """Sequence and detector, as the name of a file."""
         return f"{self.sequence}_{self.detector}"
 
+    @property
+    def detections(self) -> Path:
+        """The file of the detections."""
+        return self.folder / f"det_{self.detector}" / "det.txt"
+
 
 @dataclass(frozen=True, slots=True)
 class Input:
@@ -83,7 +88,7 @@ def cases(data: Path, groups: Path) -> list[CameraCase]:
 
 def changed(case: CameraCase, change: str) -> Input:
     """A case after one of the `CHANGES`; the random ones are the same in every run."""
-    whole = _read(case)
+    whole = read_case(case)
     keep = np.ones(len(whole.frame), bool)
     frame = whole.frame
     score = whole.score
@@ -127,13 +132,13 @@ def write_truth(case: CameraCase, given: Input, folder: Path) -> None:
         np.savetxt(folder / "gt" / "ignore.txt", given.ignored, delimiter=",", fmt="%g")
 
 
-def _read(case: CameraCase) -> Input:
+def read_case(case: CameraCase) -> Input:
     """The case as it is, boxes without an area left out."""
     ini = configparser.ConfigParser()
     ini.read(case.folder / "seqinfo.ini")
     info = ini["Sequence"]
-    rows = _table(case.folder / f"det_{case.detector}" / "det.txt")
-    rows = rows[(rows[:, 4:6] > 0).all(axis=1)]
+    rows = _table(case.detections)
+    rows = rows[with_area(rows)]
     truth = _table(case.folder / "gt" / "gt.txt")
     if case.group == OLD_GROUP:
         truth = truth[truth[:, 6] != 0]
@@ -148,6 +153,12 @@ def _read(case: CameraCase) -> Input:
         truth,
         _table(ignored) if ignored.is_file() else np.zeros((0, 7)),
     )
+
+
+def with_area(rows: F8) -> npt.NDArray[np.bool_]:
+    """(M,) which rows of a file of detections are boxes with an area."""
+    found: npt.NDArray[np.bool_] = (rows[:, 4:6] > 0).all(axis=1)
+    return found
 
 
 def _table(path: Path) -> F8:

@@ -113,6 +113,32 @@ def record(folder: Path, page: str, command: str, modules: Iterable[str]) -> str
     )
 
 
+def record_part(folder: Path, page: str, part: str, command: str, modules: Iterable[str]) -> str:
+    """Write the entry of a part of a page into ``folder``/made.json; return the line for its end.
+
+    The code of the page is that of all its parts; a module that they were made with different
+    states of is old.
+    """
+    before = _read(folder / "made.json").get(page, {}).get("parts", {})
+    line = record(folder, page, command, modules)
+    file = folder / "made.json"
+    entries = _read(file)
+    new = entries[page]
+    parts = {**before, part: {"commit": new["commit"], "code": new["code"]}}
+    states: dict[str, set[str]] = {}
+    for each in parts.values():
+        for path, value in each["code"].items():
+            states.setdefault(path, set()).add(value)
+    entries[page] = {
+        "command": f"python -m experiments {page}",
+        "commit": new["commit"],
+        "code": {path: those.pop() if len(those) == 1 else "" for path, those in states.items()},
+        "parts": parts,
+    }
+    file.write_text(json.dumps(entries, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    return line
+
+
 def stale(folder: Path) -> dict[str, list[str]]:
     """The pages of ``folder`` that are older than their code, and the modules that have changed
     since; an empty list if the page was never recorded.
