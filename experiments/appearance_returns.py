@@ -2,9 +2,9 @@
 
 People walk about in a picture. After some 20 s each of them is hidden for a given time, walks on
 meanwhile, and comes back with the probability `BACK`; else a stranger appears anywhere instead.
-Some wear what another one wears. Embeddings have the middle quality of the script that makes those of real
-sequences: a weighted sum of two of its results, one for what people wear and one for themselves,
-has the same errors, and those who wear the same look alike up to the angle `ALIKE`.
+Some wear what another one wears. Embeddings have the middle quality of the script that makes those
+of real sequences: a weighted sum of two of its results, one for what people wear and one for
+themselves, has the same errors, and those who wear the same look alike up to the angle `ALIKE`.
 
 Every detection has a known person, so each identity that `Tracker.returns` has given back is right
 or wrong. So is the identity that somebody has `SETTLED` seconds after appearing.

@@ -11,6 +11,7 @@ import pytest
 from experiments import common, count
 from experiments.__main__ import EXPERIMENTS, main
 from experiments.common import Options, in_parallel
+from phdtrack.errors import InputError
 
 
 def test_the_list_names_every_experiment_and_what_it_answers(
@@ -66,6 +67,32 @@ def test_a_short_form_leaves_the_committed_pages_as_they_are(
 def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["m077"]) == 2
     assert "got 'm077'. Did you mean m07?" in capsys.readouterr().err
+
+
+def test_an_unknown_part_is_refused_with_the_known_ones() -> None:
+    known = {"one": 1, "two": 2, "long": 3}
+    assert Options().parts(known, ("long",)) == ["one", "two"]
+    assert Options(only=("long", "one")).parts(known, ("long",)) == ["one", "long"]
+    with pytest.raises(InputError, match="expected one of one, two, long, got 'three'"):
+        Options(only=("three",)).parts(known)
+
+
+def test_a_new_part_leaves_the_others_of_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(common, "PAGES", tmp_path)
+    (tmp_path / "new.md").write_text("# New\n", encoding="utf-8")
+    options = Options(out=tmp_path / "out")
+    order = ("first", "second")
+    common.write_parts("new", options, order, {"second": "## Second\n\nold\n"})
+    common.write_parts("new", options, order, {"first": "## First\n"})
+    path = common.write_parts("new", options, order, {"second": "## Second\n\nyoung\n"})
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("# New\n")
+    assert text.index("## First") < text.index("--only first") < text.index("## Second")
+    assert text.count("## Second") == text.count("--only second") == 1
+    assert "young" in text
+    assert "old" not in text
 
 
 def test_missing_data_is_reported_before_anything_runs(

@@ -64,3 +64,24 @@ def test_what_is_recorded_is_a_page_of_results() -> None:
     assert set(recorded) <= {path.stem for path in folder.glob("*.md")}
     assert not set(recorded) & set(made.BY_HAND)
     assert all(entry["command"].startswith("python -m experiments ") for entry in recorded.values())
+
+
+def test_code_is_old_if_parts_were_made_with_different_states(tmp_path: Path) -> None:
+    """Until each part is made anew, the page is older than a module that has changed between."""
+    file = "src/phdtrack/errors.py"
+
+    def changed(value: str) -> None:
+        entries = json.loads((tmp_path / "made.json").read_text(encoding="utf-8"))
+        entries["new"]["parts"]["a"]["code"][file] = value
+        (tmp_path / "made.json").write_text(json.dumps(entries), encoding="utf-8")
+
+    (tmp_path / "new.md").write_text("", encoding="utf-8")
+    made.record_part(tmp_path, "new", "a", "python -m experiments new --only a", [file])
+    changed("another state")
+    line = made.record_part(tmp_path, "new", "b", "python -m experiments new --only b", [file])
+    assert "--only b" in line
+    assert made.stale(tmp_path) == {"new": [file]}
+    made.record_part(tmp_path, "new", "a", "python -m experiments new --only a", [file])
+    assert made.stale(tmp_path) == {}
+    entry = json.loads((tmp_path / "made.json").read_text(encoding="utf-8"))["new"]
+    assert entry["command"] == "python -m experiments new"
