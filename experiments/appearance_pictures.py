@@ -113,10 +113,11 @@ def embeddings(run: PictureRun) -> F4 | None:
         return colours
     if run.source == FILE:
         return of_file
-    return np.hstack([_unit(of_file), _unit(colours)])
+    return np.hstack([unit(of_file), unit(colours)])
 
 
-def _unit(rows: F4) -> F4:
+def unit(rows: F4) -> F4:
+    """The rows at length one; zeros stay."""
     length = np.linalg.norm(rows, axis=1, keepdims=True)
     out: F4 = rows / np.maximum(length, 1e-9)
     return out

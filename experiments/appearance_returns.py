@@ -117,7 +117,7 @@ def walks(run: HiddenRun) -> Walks:
         return person
 
     for _ in range(run.people):
-        path = _path(frames, rng)
+        path = random_walk(frames, rng)
         person = newcomer()
         # At the start some are hidden, as at any other time.
         number = 1 - round(rng.uniform(0, VISIBLE + run.hidden) * FPS)
@@ -129,7 +129,7 @@ def walks(run: HiddenRun) -> Walks:
             back = bool(rng.random() < BACK)
             if not back:
                 person = newcomer()
-                path = _path(frames, rng)
+                path = random_walk(frames, rng)
             if 1 < number <= frames:
                 appearances.append((number, person, back and until > 1))
     frame = np.concatenate([each[0] for each in rows])
@@ -141,7 +141,7 @@ def walks(run: HiddenRun) -> Walks:
     return Walks(frame[order], person, boxes, np.array(wears), tuple(sorted(appearances)))
 
 
-def _path(frames: int, rng: np.random.Generator) -> F8:
+def random_walk(frames: int, rng: np.random.Generator) -> F8:
     """(frames, 2) a walk from one random place in the picture to another."""
     margin = np.array(BOX) / 2
     place = rng.uniform(margin, np.array(SIZE) - margin)
@@ -162,7 +162,7 @@ def detected(scene: Walks, rng: np.random.Generator) -> tuple[I8, I8, F8]:
     seen = rng.random(len(scene.frame)) < P_DETECT
     for number in np.unique(scene.frame):
         here = np.flatnonzero(scene.frame == number)
-        seen[here[_covered(scene.xyxy[here])]] = False
+        seen[here[covered(scene.xyxy[here])]] = False
     noise = NOISE * np.tile(BOX, 2)
     found = scene.xyxy[seen] + noise * rng.standard_normal((np.count_nonzero(seen), 4))
     last = int(scene.frame[-1])
@@ -175,7 +175,7 @@ def detected(scene: Walks, rng: np.random.Generator) -> tuple[I8, I8, F8]:
     return frame[order], person[order], boxes[order]
 
 
-def _covered(boxes: F8) -> Bool:
+def covered(boxes: F8) -> Bool:
     """(M,) boxes of which one whose lower edge is lower covers more than a half."""
     part = intersection(boxes, boxes) / (BOX[0] * BOX[1])
     part *= boxes[:, None, 3] < boxes[None, :, 3]
@@ -291,7 +291,7 @@ def section(options: Options) -> str:
     ]
     found = in_parallel(simulated, jobs, "people who come back", options)
     claims = [claim for one in found for claim in one.claimed]
-    calibrated = _calibration(claims)
+    calibrated = calibration(claims)
     _draw(calibrated, options.folder / PICTURE)
     return filled(
         "appearance_returns",
@@ -305,7 +305,7 @@ def section(options: Options) -> str:
         settled=f"{SETTLED:g}",
         cells=_cells_table(jobs, found),
         calibration=_calibration_table(calibrated),
-        verdict=_verdict(claims, calibrated),
+        verdict=verdict(claims, calibrated),
         picture=PICTURE,
     )
 
@@ -314,7 +314,7 @@ def section(options: Options) -> str:
 Bin = tuple[float, float, float, int, int]
 
 
-def _calibration(claims: Sequence[tuple[float, bool]]) -> list[Bin]:
+def calibration(claims: Sequence[tuple[float, bool]]) -> list[Bin]:
     """The bins that have claims."""
     out = []
     for low, high in itertools.pairwise(BINS):
@@ -334,7 +334,7 @@ def _calibration_table(bins: Sequence[Bin]) -> str:
     return table(("claimed", "identities", "mean claim", "share right"), rows)
 
 
-def _verdict(claims: Sequence[tuple[float, bool]], bins: Sequence[Bin]) -> str:
+def verdict(claims: Sequence[tuple[float, bool]], bins: Sequence[Bin]) -> str:
     """What the claims were worth, in a sentence or two."""
     if not claims:
         return "No identity was given back."
@@ -373,17 +373,19 @@ def _cells_table(jobs: Sequence[HiddenRun], found: Sequence[Verdicts]) -> str:
         ]
         claims = [claim for one in those for claim in one.claimed]
         right = sum(one for _, one in claims)
+        claimed = f"{np.mean([claim for claim, _ in claims]):.2f}" if claims else "–"
         cells = []
         for k in (0, 1):
             cells.append(_share([each for one in those for each in one.kept[k]]))
             cells.append(_share([each for one in those for each in one.mistaken[k]]))
-        rows.append([f"{time:g} s", people, right, len(claims) - right, *cells])
+        rows.append([f"{time:g} s", people, right, len(claims) - right, claimed, *cells])
     return table(
         (
             "hidden",
             "people",
             "given back rightly",
             "wrongly",
+            "mean claim",
             "own identity, online",
             "another's",
             "own identity, corrected",
@@ -400,7 +402,7 @@ def _share(verdicts: Sequence[bool]) -> str:
 def _draw(bins: Sequence[Bin], path: Path) -> None:
     """Draw the calibration: the share that is right against what was claimed."""
     plt = pyplot()
-    figure, axes = plt.subplots(figsize=(5, 4.5))
+    figure, axes = plt.subplots(figsize=(6, 4.5))
     axes.plot([0.4, 1], [0.4, 1], color="0.6", linewidth=1, label="as claimed")
     share = np.array([one[3] / one[4] for one in bins])
     ends = np.array([interval(one[3], one[4]) for one in bins]).reshape(-1, 2)
@@ -414,8 +416,10 @@ def _draw(bins: Sequence[Bin], path: Path) -> None:
         label="right, with 95 % interval",
     )
     for x, y, one in zip(claimed, share, bins, strict=True):
-        axes.annotate(f"{one[4]}", (x, y), xytext=(6, -12), textcoords="offset points", fontsize=8)
-    axes.set(xlabel="claimed probability", ylabel="share right", xlim=(0.45, 1.02), ylim=(0, 1.03))
+        axes.annotate(f"{one[4]}", (x, y), xytext=(7, -14), textcoords="offset points", fontsize=8)
+    axes.set(
+        xlabel="claimed probability", ylabel="share right", xlim=(0.45, 1.02), ylim=(0.35, 1.03)
+    )
     axes.legend(loc="lower right", frameon=False)
     figure.tight_layout()
     figure.savefig(path, dpi=110)

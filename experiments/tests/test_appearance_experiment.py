@@ -131,14 +131,14 @@ def test_people_come_back_after_the_given_time():
 
 
 def test_nobody_walks_faster_than_the_speed():
-    path = appearance_returns._path(500, np.random.default_rng(1))
+    path = appearance_returns.random_walk(500, np.random.default_rng(1))
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     assert steps.max() <= appearance_returns.SPEED / appearance_returns.FPS + 1e-9
 
 
 def test_one_covered_by_more_than_half_is_not_detected():
     boxes = np.array([[0, 0, 60, 150], [10, 10, 70, 160], [100, 0, 160, 150.0]])
-    assert appearance_returns._covered(boxes).tolist() == [True, False, False]
+    assert appearance_returns.covered(boxes).tolist() == [True, False, False]
 
 
 def back_and_stranger() -> tuple[Walks, Tracks]:
@@ -184,7 +184,7 @@ def test_rows_without_a_detection_are_of_nobody():
 
 def test_claims_are_pooled_by_their_probability():
     claims = [(0.55, True), (0.55, False), (0.92, True), (0.9, False)]
-    bins = appearance_returns._calibration(claims)
+    bins = appearance_returns.calibration(claims)
     assert [(low, right, number) for low, _, _, right, number in bins] == [
         (0.5, 1, 2),
         (0.8, 0, 1),
@@ -192,12 +192,12 @@ def test_claims_are_pooled_by_their_probability():
     ]
     low, high = appearance_returns.interval(1, 2)
     assert 0 < low < 0.5 < high < 1
-    assert "2 were right" in appearance_returns._verdict(claims, bins)
-    assert appearance_returns._verdict([], []) == "No identity was given back."
+    assert "2 were right" in appearance_returns.verdict(claims, bins)
+    assert appearance_returns.verdict([], []) == "No identity was given back."
 
 
 def test_both_sources_count_alike():
     rows_of = np.array([[3.0, 4.0], [0.0, 0.0]], np.float32)
-    unit = appearance_pictures._unit(rows_of)
+    unit = appearance_pictures.unit(rows_of)
     assert math.isclose(float(np.linalg.norm(unit[0])), 1, rel_tol=1e-6)
     assert not unit[1].any()
