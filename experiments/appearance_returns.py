@@ -304,6 +304,7 @@ def section(options: Options) -> str:
         angle=f"{ALIKE:g}",
         settled=f"{SETTLED:g}",
         cells=_cells_table(jobs, found),
+        outside=_cells_verdict(jobs, found),
         calibration=_calibration_table(calibrated),
         verdict=verdict(claims, calibrated),
         picture=PICTURE,
@@ -393,6 +394,32 @@ def _cells_table(jobs: Sequence[HiddenRun], found: Sequence[Verdicts]) -> str:
         ),
         rows,
     )
+
+
+def _cells_verdict(jobs: Sequence[HiddenRun], found: Sequence[Verdicts]) -> str:
+    """The times and numbers of people whose mean claim is outside of the interval, in a
+    sentence.
+    """
+    outside = []
+    for time, people in dict.fromkeys((job.hidden, job.people) for job in jobs):
+        claims = [
+            claim
+            for job, one in zip(jobs, found, strict=True)
+            for claim in one.claimed
+            if (job.hidden, job.people) == (time, people)
+        ]
+        if not claims:
+            continue
+        right = sum(one for _, one in claims)
+        ends = interval(right, len(claims))
+        mean = float(np.mean([claim for claim, _ in claims]))
+        if not ends[0] <= mean <= ends[1]:
+            word = "high" if mean > ends[1] else "low"
+            outside.append(f"{people} people hidden for {time:g} s (too {word})")
+    if not outside:
+        return "The mean claim is within the 95 % interval of the share right in each of them."
+    names = "; ".join(outside)
+    return f"The mean claim is outside of the 95 % interval of the share right with {names}."
 
 
 def _share(verdicts: Sequence[bool]) -> str:
