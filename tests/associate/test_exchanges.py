@@ -215,6 +215,18 @@ def test_a_target_takes_the_identity_of_a_lost_one():
     assert (back.earlier, back.later, back.identity) == (5, 7, 11)
 
 
+def test_pairs_of_somebody_forgotten_do_nothing():
+    """One who was lost long ago may have met another by where it was thought to be."""
+    own = np.eye(3, D)
+    state = state_of(own, own[[1, 0, 2]], [True, True, True])
+    for gone in (0, 1, 2):
+        left = replace(state, seen=state.seen.select(np.arange(3) != gone))
+        found = exchanges(left, looks_of(), 5, NAMES)
+        assert [each.labels for each in found] == ([(3, 5)] if gone == 2 else [])
+    nobody_left = replace(state, seen=nobody(D))
+    assert exchanges(nobody_left, looks_of(), 5, NAMES) == []
+
+
 def test_three_exchange_in_turn():
     """Each has the identity of the next: two exchanges, one frame after the other, put it right."""
     own = np.eye(3, D)

@@ -201,6 +201,51 @@ def directions(looks: F4, mean: F4) -> F4:
     return out
 
 
+@njit(**ENTRY)
+def described(raw: F4, boxes: F8, mean: F4, most: float, count: float) -> tuple[Any, ...]:
+    """`Looks.raw`, `Looks.seen`, the mean of the stream, `Looks.free`, and of how many descriptors
+    that mean then is.
+
+    Parameters
+    ----------
+    raw, boxes : (N, D), (N, 4) descriptors and boxes of a frame.
+    mean, count : (D,) the mean before, and of how many it is; of ``most`` at most.
+    """
+    n, size = raw.shape
+    unit = np.zeros((n, size), np.float32)
+    total = np.zeros(size, np.float32)
+    known = 0
+    for i in range(n):
+        length = 0.0
+        for k in range(size):
+            length += np.float64(raw[i, k]) * np.float64(raw[i, k])
+        if 0.0 < length < math.inf:
+            known += 1
+            scale = np.float32(1.0 / math.sqrt(length))
+            for k in range(size):
+                unit[i, k] = raw[i, k] * scale
+                total[k] += unit[i, k]
+    after = mean.copy()
+    if known > 0:
+        count = min(count, most) + known
+        for k in range(size):
+            after[k] += np.float32((total[k] - known * mean[k]) / count)
+    seen = directions(unit, after)
+    free = free_parts(boxes)
+    for i in range(n):
+        missing = True
+        for k in range(size):
+            missing = missing and unit[i, k] == 0.0
+        nearly_mean = True
+        for k in range(size):
+            nearly_mean = nearly_mean and seen[i, k] == 0.0
+        if missing or nearly_mean:
+            free[i] = 0.0
+        if missing:
+            seen[i] = 0.0
+    return unit, seen, after, free, count
+
+
 @njit(**INNER)
 def pair_ratios(pairs: Records, hypotheses: Records, pasts: Pasts, looks: Looks) -> F8:
     """(P,) the log-likelihood ratios of pairs of a hypothesis and a measurement [APP (2)]; (0,)

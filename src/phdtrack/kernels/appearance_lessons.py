@@ -88,13 +88,15 @@ def taught(
     same, other, single, means = lessons
     sums = Lessons(same.copy(), other.copy(), single.copy(), means.copy())
     out = _carried_over(followed, sure[:, 0], looks.raw.shape[1], len(rules.spans))
-    known = directions(out.mean, looks.mean)
     count = len(sure)
     learns = np.zeros(count, np.bool_)
     for a in range(count):
         j = sure[a, 1]
         if j >= 0 and looks.free[j] >= rules.least_free:
             learns[a] = looks.time >= out.taught[a] + rules.pause
+    # Most frames have no lesson: one target's are some time apart.
+    some = np.any(learns)
+    known = directions(out.mean if some else out.mean[:0], looks.mean)
     for a in range(count):
         if learns[a]:
             out.taught[a] = looks.time

@@ -269,11 +269,8 @@ def met_after(
             k += 1
         if k < n and near[k] == met[m]:
             continue
-        a = np.searchsorted(known, met[m] // LABELS)
-        b = np.searchsorted(known, met[m] % LABELS)
-        here = a < known.size and b < known.size
-        here = here and known[a] == met[m] // LABELS and known[b] == met[m] % LABELS
-        if here and time - when[m] <= kept:
+        a, b = _places(known, met[m])
+        if a >= 0 and b >= 0 and time - when[m] <= kept:
             out[count] = met[m]
             seconds[count] = when[m]
             count += 1
@@ -283,6 +280,16 @@ def met_after(
         count += 1
         k += 1
     return out[:count].copy(), seconds[:count].copy()
+
+
+@njit(**INNER)
+def _places(known: I8, pair: int) -> tuple[int, int]:
+    """The rows of the labels of a pair among those ``known``, ascending; −1 for one that is not."""
+    a = np.searchsorted(known, pair // LABELS)
+    b = np.searchsorted(known, pair % LABELS)
+    first = int(a) if a < known.size and known[a] == pair // LABELS else -1
+    second = int(b) if b < known.size and known[b] == pair % LABELS else -1
+    return first, second
 
 
 @njit(**INNER)
@@ -341,8 +348,9 @@ def exchange_odds(
         fits[a] = _fit(known, directions_of, a, a, looks.law)
         seen_now[a] = _is_seen(known, a, looks.time, least)
     for m in range(met.size):
-        a = np.searchsorted(known.label, met[m] // LABELS)
-        b = np.searchsorted(known.label, met[m] % LABELS)
+        a, b = _places(known.label, met[m])
+        if a < 0 or b < 0:
+            continue
         if not (seen_now[a] or seen_now[b]) or (known.alive[a] and not seen_now[a]):
             continue
         if known.alive[b] and not seen_now[b]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.errors import Checked, NonNegative, Positive
-from phdtrack.kernels.appearance import UNKNOWN, Law, Looks, free_parts, plain
+from phdtrack.kernels.appearance import UNKNOWN, Law, Looks, described, plain
 from phdtrack.kernels.appearance_lessons import Followed, Lessons, taught
 from phdtrack.types import F4, F8, I8, Detections
 
@@ -111,26 +111,19 @@ class Appearance(Checked):
             if not len(state.mean):
                 return state, None
             raw = np.zeros((len(detections), len(state.mean)), np.float32)
-        length = np.sqrt(np.einsum("nd,nd->n", raw, raw, dtype=np.float64))
-        known = np.isfinite(length) & (length > 0)
-        scale = np.divide(1.0, length, out=np.zeros(len(raw)), where=known)
-        unit = np.where(known[:, None], raw, 0.0) * scale[:, None].astype(np.float32)
-        unit = np.ascontiguousarray(unit, np.float32)
-        n = int(np.count_nonzero(known))
         mean = state.mean
         count = state.count
-        if len(mean) != unit.shape[1]:
-            mean = np.zeros(unit.shape[1], np.float32)
+        if len(mean) != raw.shape[1]:
+            mean = np.zeros(raw.shape[1], np.float32)
             count = 0.0
-            state = AppearanceSeen(followed=nobody(unit.shape[1]))
-        if n:
-            count = min(count, MEAN_OF) + n
-            mean = (mean + (unit.sum(axis=0) - n * mean) / count).astype(np.float32)
-        seen = unit - mean
-        length = np.sqrt(np.einsum("nd,nd->n", seen, seen))
-        usable = known & (length > 1e-3)
-        seen *= np.divide(1.0, length, out=np.zeros_like(length), where=usable)[:, None]
-        free = np.where(usable, free_parts(np.ascontiguousarray(detections.xyxy)), 0.0)
+            state = AppearanceSeen(followed=nobody(raw.shape[1]))
+        unit, seen, mean, free, count = described(
+            np.ascontiguousarray(raw, np.float32),
+            np.ascontiguousarray(detections.xyxy),
+            mean,
+            MEAN_OF,
+            count,
+        )
         after = AppearanceSeen(mean, count, state.followed, state.lessons)
         return after, Looks(unit, seen, mean, free, self.law(state.lessons), time, self.memory)
 
