@@ -55,7 +55,8 @@ class Seen(NamedTuple):
 
     def followed_by(self, others: Seen) -> Seen:
         """The targets, and then others."""
-        return Seen._make(map(np.concatenate, zip(self, others, strict=True)))
+        columns: list[tuple[Any, Any]] = list(zip(self, others, strict=True))
+        return Seen._make(np.concatenate(both) for both in columns)
 
 
 class Present(NamedTuple):
