@@ -112,6 +112,41 @@ def test_tracks_that_swapped_are_parted_and_joined(unknown: float):
     assert names(plain, LAST - 10) == [1, 2]
 
 
+def test_two_who_swapped_are_parted_at_one_time():
+    """Though one is not known for a while after: else its end overlaps the rest of the other."""
+    tracks, measurements = meeting(swapped=True)
+    middle = MEET[len(MEET) // 2]
+    number = np.repeat(measurements.number, np.diff(measurements.start))
+    views = measurements.embeddings.copy()
+    hidden = (number > middle) & (number < middle + 8) & (measurements.row == 1)
+    assert hidden.sum() == 7
+    views[hidden] = 0
+    measurements = replace(measurements, embeddings=views)
+    pieces = pieces_of(tracks, measurements)
+    assert len(np.unique(pieces.identity)) == 4
+    ends = [pieces.frame[pieces.identity == name].max() for name in (1, 2)]
+    begins = [pieces.frame[pieces.identity == name].min() for name in (3, 4)]
+    assert max(ends) < min(begins)
+    whole = SMOOTHING.smooth(tracks, measurements, seen(model_of()))
+    assert len(np.unique(whole.identity)) == 2
+    assert names(whole, LAST - 10) == [2, 1]
+
+
+def test_tracks_far_apart_are_parted_each_at_its_own_time():
+    tracks, measurements = meeting(swapped=True)
+    far = replace(tracks, xyxy=tracks.xyxy + 0.0)
+    column = measurements.columns(tracks)
+    z = measurements.z.copy()
+    z[0, column[tracks.identity == 2]] += 400
+    number = np.repeat(measurements.number, np.diff(measurements.start))
+    views = measurements.embeddings.copy()
+    middle = MEET[len(MEET) // 2]
+    views[(number > middle) & (number < middle + 8) & (measurements.row == 1)] = 0
+    pieces = pieces_of(far, replace(measurements, z=z, embeddings=views))
+    ends = [pieces.frame[pieces.identity == name].max() for name in (1, 2)]
+    assert ends[0] != ends[1]
+
+
 def test_tracks_of_one_object_each_stay_whole():
     tracks, measurements = meeting(swapped=False)
     assert pieces_of(tracks, measurements) is tracks

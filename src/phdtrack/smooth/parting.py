@@ -4,6 +4,7 @@ pieces anew."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,11 @@ PARTED = -0.5
 LONG = 0.75
 # Independent descriptors on each side that this needs.
 LEAST = 1.5
+# The fewest detections of a track that is parted.
+FEWEST = 4
+# Seconds within which two tracks are parted at one time.
+TOGETHER = 1.0
+_NONE: I8 = np.zeros(0, np.int64)
 
 
 def parted(tracks: Tracks, paths: Paths, sequence: Sequence) -> Tracks:
@@ -36,31 +42,79 @@ def parted(tracks: Tracks, paths: Paths, sequence: Sequence) -> Tracks:
         return tracks
     measurements = sequence.measurements
     time = measurements.seconds(sequence.rate)
+    seen = [_seen(paths, k, time) for k in range(len(paths))]
+    cuts = [
+        _cuts(known, each.column, each.time) if len(each.rows) >= FEWEST else _NONE for each in seen
+    ]
+    if not any(map(len, cuts)):
+        return tracks
+    cuts = _together(seen, cuts, sequence.boxes)
     identity = tracks.identity.copy()
     kept = np.ones(len(tracks), np.bool_)
     fresh = int(identity.max(initial=0))
-    for k in range(len(paths)):
-        rows = np.arange(paths.first[k], paths.last[k] + 1)
-        rows = rows[paths.measurement[rows] >= 0]
-        if len(rows) < 4:
-            continue
-        column = paths.measurement[rows]
-        when = time[paths.frame[rows]]
-        cuts = _cuts(known, column, when)
-        if not len(cuts):
-            continue
-        name = tracks.identity[paths.row[rows[0]]]
+    for each, places in zip(seen, cuts, strict=True):
+        name = tracks.identity[paths.row[each.rows[0]]] if len(each.rows) else 0
         mine = np.flatnonzero(tracks.identity == name)
-        numbers = measurements.number[paths.frame[rows]]
-        for cut in cuts.tolist():
+        numbers = measurements.number[paths.frame[each.rows]]
+        for cut in places.tolist():
             fresh += 1
             later = mine[tracks.frame[mine] >= numbers[cut + 1]]
             between = (tracks.frame[mine] > numbers[cut]) & (tracks.frame[mine] < numbers[cut + 1])
             kept[mine[between]] = False
             identity[later] = fresh
-    if fresh == int(tracks.identity.max(initial=0)):
-        return tracks
     return replace(tracks, identity=identity).select(kept)
+
+
+class _Seen(NamedTuple):
+    """The rows (n,) of a path that have a measurement, these, and their seconds."""
+
+    rows: I8
+    column: I8
+    time: F8
+
+
+def _seen(paths: Paths, k: int, time: F8) -> _Seen:
+    """The detections of path k; ``time`` (F,) are the seconds of frames."""
+    rows = np.arange(paths.first[k], paths.last[k] + 1)
+    rows = rows[paths.measurement[rows] >= 0]
+    return _Seen(rows, paths.measurement[rows], time[paths.frame[rows]])
+
+
+def _together(seen: list[_Seen], cuts: list[I8], boxes: F8) -> list[I8]:
+    """The cuts, with those of two tracks that were side by side within a second of each other at
+    one time: else the end of one and the rest of the other would overlap, and could not be joined.
+
+    Parameters
+    ----------
+    seen, cuts : of each track, and the detections after which it is parted.
+    boxes : (Z, 4) of the measurements.
+    """
+    place = [(k, cut) for k, each in enumerate(cuts) for cut in each.tolist()]
+    when = np.array([seen[k].time[cut : cut + 2].mean() for k, cut in place])
+    here = boxes[[int(seen[k].column[cut]) for k, cut in place]]
+    common = when.copy()
+    free = np.ones(len(place), np.bool_)
+    pairs = [
+        (abs(when[i] - when[j]), i, j)
+        for i in range(len(place))
+        for j in range(i + 1, len(place))
+        if place[i][0] != place[j][0] and abs(when[i] - when[j]) <= TOGETHER
+    ]
+    for _, i, j in sorted(pairs):
+        if free[i] and free[j] and _side_by_side(here[i], here[j]):
+            free[[i, j]] = False
+            common[[i, j]] = (when[i] + when[j]) / 2
+    out = [list[int]() for _ in seen]
+    for (k, cut), moved, kept in zip(place, common.tolist(), free.tolist(), strict=True):
+        at = cut if kept else int(np.searchsorted(seen[k].time, moved, side="right")) - 1
+        out[k].append(min(max(at, 0), len(seen[k].time) - 2))
+    return [np.unique(np.array(each, np.int64)) for each in out]
+
+
+def _side_by_side(a: F8, b: F8) -> bool:
+    """True if two boxes, twice as large, overlap."""
+    apart = np.abs(a[:2] + a[2:] - b[:2] - b[2:]) / 2
+    return bool((apart < a[2:] - a[:2] + b[2:] - b[:2]).all())
 
 
 def _cuts(known: SequenceLooks, column: I8, time: F8) -> I8:
