@@ -16,7 +16,7 @@ from appearance_cases import D, frame_of, identity_of, pacing, prototypes, track
 from inner_kernels import from_python
 from phdtrack import Tracker, pipeline
 from phdtrack.kernels.association import EDGE
-from phdtrack.kernels.pmb import DOUBTFUL, MISSED, write_verdicts
+from phdtrack.kernels.verdicts import DOUBTFUL, MISSED, write_verdicts
 from phdtrack.types import F8, Detections, Tracks
 from reference.pmb_twin import enumerated
 from tracker_cases import equal

@@ -11,11 +11,12 @@ each, and its probability the product. Most clusters are one track with one leaf
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from phdtrack.arrays import sum_by
+from phdtrack.kernels.appearance import NO_PASTS, Pasts
 from phdtrack.kernels.association import competing, components
 from phdtrack.kernels.branching import children, equal_rows
 from phdtrack.types import F8, I8, Bool, GaussianMixture
@@ -41,6 +42,7 @@ class Nodes:
     label : (L,) the track's number, from 0, unique.
     missed : (L,) frames since it last took a measurement.
     survival : (L,) p_S of the interval before; 1 where the track begins.
+    past : (L,) of leaves, which of `Hypotheses.pasts` each has, −1 for none.
     """
 
     mean: F8
@@ -51,6 +53,11 @@ class Nodes:
     label: I8
     missed: I8
     survival: F8
+    past: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if len(self.past) != len(self.r):
+            object.__setattr__(self, "past", np.full(len(self.r), -1))
 
     def __len__(self) -> int:
         return len(self.r)
@@ -66,6 +73,7 @@ class Nodes:
             self.label[index],
             self.missed[index],
             self.survival[index],
+            self.past[index],
         )
 
 
@@ -94,6 +102,7 @@ class Hypotheses:
     undetected : intensity of targets that have never been detected; always empty in an MHT.
     steps : of each layer the interval before it, in the model's time unit, and the camera's motion
         (3, 3) in it.
+    pasts : what the leaves have seen of their targets.
     """
 
     layers: tuple[Nodes, ...]
@@ -102,6 +111,7 @@ class Hypotheses:
     next_label: int
     undetected: GaussianMixture
     steps: tuple[tuple[float, F8], ...]
+    pasts: Pasts = NO_PASTS
 
     def __len__(self) -> int:
         """Number of leaves."""

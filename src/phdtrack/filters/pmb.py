@@ -68,7 +68,7 @@ with them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -84,13 +84,12 @@ from phdtrack.errors import (
 )
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
 from phdtrack.kernels import Records
-from phdtrack.kernels.appearance import UNKNOWN, Looks, Pasts, plain, remembered
+from phdtrack.kernels.appearance import NO_PASTS, Looks, Pasts, plain, remembered
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import (
     CERTAIN,
-    DOUBTFUL,
     HYPOTHESIS,
     TARGET,
     TINY,
@@ -101,6 +100,7 @@ from phdtrack.kernels.pmb import (
     updated_layer,
 )
 from phdtrack.kernels.pmb_past import TRACE, earlier, scaled
+from phdtrack.kernels.verdicts import DOUBTFUL
 from phdtrack.models.clutter import ScoredClutter
 from phdtrack.models.gaussian import (
     SAME,
@@ -110,6 +110,7 @@ from phdtrack.models.gaussian import (
     new_targets,
     predicted_measurements,
 )
+from phdtrack.models.pasts import carried, with_looks
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
@@ -129,19 +130,6 @@ MOST_DETECTION = 0.97
 SCORE_MEMORY = 15.0
 # The share of false alarms that are new in each frame, if no stream has shown it.
 ANEW = 0.2
-_NONE = np.zeros(0)
-NO_PASTS = Pasts(
-    np.zeros((0, 0), np.float32), _NONE, _NONE, _NONE, np.zeros((0, 0), np.float32), _NONE
-)
-NO_LOOKS = Looks(
-    np.zeros((0, 0), np.float32),
-    np.zeros((0, 0), np.float32),
-    np.zeros(0, np.float32),
-    np.zeros(0),
-    UNKNOWN,
-    0.0,
-    1.0,
-)
 NOBODY: I8 = np.zeros((0, 2), np.int64)
 
 
@@ -627,19 +615,14 @@ class BestBernoullis(Checked):
 
 
 def _with_pasts(now: Layer, pasts: Pasts, looks: Looks | None) -> tuple[Layer, Pasts, Looks]:
-    """The targets, their pasts, and what a frame looks like: nothing where that is not known.
-
-    Where descriptors have another length than before, the pasts begin anew.
-    """
-    if looks is None:
-        return now, pasts, NO_LOOKS
-    if pasts.mean.shape[1] == looks.raw.shape[1]:
+    """The targets, their pasts, and what a frame looks like, as of `carried`."""
+    before = now.hypotheses["past"]
+    past, pasts, looks = carried(before, pasts, looks)
+    if past is before:
         return now, pasts, looks
     hypotheses = now.hypotheses.copy()
-    hypotheses["past"] = -1
-    none = np.zeros((0, looks.raw.shape[1]), np.float32)
-    nothing = NO_PASTS._replace(mean=none, last=none)
-    return now._replace(hypotheses=hypotheses), nothing, looks
+    hypotheses["past"] = past
+    return now._replace(hypotheses=hypotheses), pasts, looks
 
 
 def _sure(layer: Layer, verdicts: I8) -> I8:
@@ -655,14 +638,7 @@ def _with_looks(estimates: Estimates, layer: Layer, pasts: Pasts) -> Estimates:
     """The estimates with what the past of each looks like."""
     label = layer.targets["label"]
     best = layer.targets["best"][label.searchsorted(estimates.tag)]
-    past = layer.hypotheses["past"][best]
-    known = past >= 0
-    return replace(
-        estimates,
-        appearance=pasts.mean[np.where(known, past, 0)],
-        appearance_count=np.where(known, pasts.number[past], 0.0),
-        followed=label,
-    )
+    return with_looks(estimates, layer.hypotheses["past"][best], pasts, label)
 
 
 def _best(layer: Layer) -> Records:

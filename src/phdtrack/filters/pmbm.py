@@ -53,8 +53,10 @@ from phdtrack.filters.hypotheses import (
     ended,
     parted,
 )
-from phdtrack.filters.pmb import without_overlaps
+from phdtrack.filters.pmb import NOBODY, without_overlaps
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
+from phdtrack.kernels import Records
+from phdtrack.kernels.appearance import HOLDER, Looks, plain, ratios_of_pairs, remembered
 from phdtrack.kernels.gaussian import (
     GAUSSIAN,
     PAIR,
@@ -65,6 +67,7 @@ from phdtrack.kernels.gaussian import (
     all_posteriors,
 )
 from phdtrack.kernels.pmb import NEVER, TINY
+from phdtrack.kernels.verdicts import DOUBTFUL, verdicts_of
 from phdtrack.models.gaussian import (
     Transform,
     measurements,
@@ -72,6 +75,7 @@ from phdtrack.models.gaussian import (
     new_targets,
     predicted_measurements,
 )
+from phdtrack.models.pasts import carried, with_looks
 from phdtrack.models.rts import predict as ahead_of
 from phdtrack.models.rts import smooth_back
 from phdtrack.protocols import Filter, Model
@@ -123,7 +127,15 @@ class PMBM(Checked, Filter[Hypotheses]):
         survival = self._survival(after.p_survive, missed)
         r = leaves.r * survival
         nodes = Nodes(
-            after.mean, after.covariance, r, none, np.arange(n), leaves.label, missed, survival
+            after.mean,
+            after.covariance,
+            r,
+            none,
+            np.arange(n),
+            leaves.label,
+            missed,
+            survival,
+            leaves.past,
         )
         return replace(
             state,
@@ -154,11 +166,15 @@ class PMBM(Checked, Filter[Hypotheses]):
         p_detect = np.minimum(leaves.r * e.p_detect, 1 - NEVER)
         # Weigh every pair within the gates
         scores = _scores(e, seen, new, p_detect, gate)
+        state, looks = _with_pasts(state, model.appearance)
+        sure = _sure(state, scores, looks)
+        scores = _with_ratios(scores, state, looks)
         limits = Limits(self.max_hypotheses, self.hypothesis_threshold, self.existence_threshold)
         # The best assignments under every global hypothesis, then their densities
         branches = branched(state, scores, limits)
         grown = replace(_grown(state, branches, p_detect, e, seen, new), undetected=undetected)
-        return grown, _info(state, grown, branches, scores, seen.clutter, new)
+        info = _info(state, grown, branches, scores, seen.clutter, new)
+        return _remembering(grown, looks), replace(info, sure=sure)
 
     def _unassigned(
         self,
@@ -309,6 +325,69 @@ def _scores(e: Expected, m: Measurements, new: NewTargets, p_detect: F8, gate: f
     return Scores(leaf, measurement, gain, missed, np.log(total), new.density / total)
 
 
+def _with_pasts(state: Hypotheses, looks: Looks | None) -> tuple[Hypotheses, Looks]:
+    """The leaves with their pasts, and what a frame looks like, as of `carried`."""
+    leaves = state.leaves
+    past, pasts, seen = carried(leaves.past, state.pasts, looks)
+    if past is leaves.past:
+        return state, seen
+    layers = (*state.layers[:-1], replace(leaves, past=past))
+    return replace(state, layers=layers, pasts=pasts), seen
+
+
+def _sure(state: Hypotheses, scores: Scores, looks: Looks) -> I8:
+    """`UpdateInfo.sure`, by the marginal probabilities of pairs without appearance; none where it
+    is not known what measurements look like.
+    """
+    if not len(looks.mean):
+        return NOBODY
+    label, target = np.unique(state.leaves.label, return_inverse=True)
+    probability = state.probability
+    n = len(label)
+    missed = 1 + sum_by(target, probability * np.expm1(scores.missed), n)
+    missed = np.maximum(missed, NEVER)
+    presence = sum_by(target, probability * state.leaves.r, n)
+    leaf = scores.leaf
+    # log r p_D q(z) − log (κ + λ̂)
+    log_odds = scores.gain + scores.missed[leaf] - scores.unassigned[scores.measurement]
+    odds = probability[leaf] * np.exp(log_odds) / missed[target[leaf]]
+    verdicts = verdicts_of(target[leaf], scores.measurement, odds, n, len(scores.unassigned))
+    known = (verdicts != DOUBTFUL) & (presence >= 0.5)
+    return np.stack([label[known], verdicts[known]], axis=1)
+
+
+def _with_ratios(scores: Scores, state: Hypotheses, looks: Looks) -> Scores:
+    """The scores with the log-likelihood ratios of what leaves and measurements look like
+    [APP (2)].
+    """
+    if looks.law.weight <= 0 or not len(looks.mean):
+        return scores
+    pairs = np.zeros(len(scores.leaf), PAIR)
+    pairs["gaussian"] = scores.leaf
+    pairs["measurement"] = scores.measurement
+    ratio = ratios_of_pairs(pairs, _holders(state), tuple(state.pasts), plain(looks))
+    return replace(scores, gain=scores.gain + ratio) if len(ratio) else scores
+
+
+def _holders(state: Hypotheses) -> Records:
+    """The leaves as holders of pasts. Those of one track follow each other."""
+    holders = np.empty(len(state), HOLDER)
+    holders["target"] = state.leaves.label
+    holders["detection"] = state.leaves.detection
+    holders["past"] = state.leaves.past
+    return holders
+
+
+def _remembering(state: Hypotheses, looks: Looks) -> Hypotheses:
+    """The hypotheses with what their leaves have seen in this frame, too."""
+    if not len(looks.mean):
+        return state
+    holders = _holders(state)
+    pasts = remembered(holders, tuple(state.pasts), plain(looks))
+    leaves = replace(state.leaves, past=np.ascontiguousarray(holders["past"]))
+    return replace(state, layers=(*state.layers[:-1], leaves), pasts=pasts)
+
+
 def _grown(
     state: Hypotheses,
     branches: Branches,
@@ -353,7 +432,8 @@ def _grown(
     )
     parent = np.append(leaves.parent, -1)[source]
     survival = np.append(leaves.survival, 1.0)[source]
-    nodes = Nodes(mean, cov, r, which, parent, label, since, survival)
+    past = np.append(leaves.past, -1)[source]
+    nodes = Nodes(mean, cov, r, which, parent, label, since, survival, past)
     clusters = tuple(
         Cluster(np.where(c.leaf >= 0, np.searchsorted(number, c.leaf), -1), c.weight)
         for c in branches.clusters
@@ -449,7 +529,14 @@ class BestHypothesis(Checked):
             else:
                 gaussians = then.mean, then.covariance
             frames.append(self._estimates(nodes, at, exists, gaussians, model))
-        return replace(frames[0], past=tuple(frames[:0:-1]))
+        estimates = replace(frames[0], past=tuple(frames[:0:-1]))
+        if model.appearance is None or not len(state.pasts.time):
+            return estimates
+        leaves = state.leaves
+        best = state.best()
+        own = best[leaves.label[best].searchsorted(estimates.tag)]
+        followed = np.unique(leaves.label[leaves.r > 0])
+        return with_looks(estimates, leaves.past[own], state.pasts, followed)
 
     def _estimates(
         self, nodes: Nodes, at: I8, exists: F8, gaussians: tuple[F8, F8], model: Model

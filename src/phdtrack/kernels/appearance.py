@@ -21,6 +21,7 @@ import numpy as np
 from phdtrack.kernels import F4, F8, I8, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INLINED, INNER
+from phdtrack.kernels.gaussian import records
 
 # The probability that an object begins to look like any other, because of what stands before it, or
 # in another light. So no picture alone says that an object is another one.
@@ -106,6 +107,13 @@ class Pasts(NamedTuple):
 
 # Nothing is known of what similarity says.
 UNKNOWN = Law(0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.5, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0)
+_NONE = np.zeros(0)
+_NO_LOOKS = np.zeros((0, 0), np.float32)
+NO_PASTS = Pasts(_NO_LOOKS, _NONE, _NONE, _NONE, _NO_LOOKS, _NONE)
+NO_LOOKS = Looks(_NO_LOOKS, _NO_LOOKS, np.zeros(0, np.float32), _NONE, UNKNOWN, 0.0, 1.0)
+# A hypothesis as `pair_ratios` and `remembered` know it: its target, its measurement of the frame,
+# and its past; −1 for none. The PMB's have more fields.
+HOLDER = records("", "target detection past")
 
 
 def plain(looks: Looks) -> tuple[Any, ...]:
@@ -264,6 +272,13 @@ def pair_ratios(pairs: Records, hypotheses: Records, pasts: Pasts, looks: Looks)
             ratio, _ = _of_pair(direction, last, pasts, past, looks, j)
             out[q] = looks.law.weight * looks.free[j] * math.log(ratio)
     return out
+
+
+@njit(**ENTRY)
+def ratios_of_pairs(pairs: Records, hypotheses: Records, pasts: Pasts, looks: Looks) -> F8:
+    """(P,) `pair_ratios`, for callers in Python."""
+    ratios: F8 = pair_ratios(pairs, hypotheses, Pasts(*pasts), named(looks))
+    return ratios
 
 
 @njit(**INNER)

@@ -44,6 +44,7 @@ from phdtrack.kernels.gaussian import (
     write_posteriors,
 )
 from phdtrack.kernels.jumps import Jumps, jumped, jumping, merged_pairs, with_jumps
+from phdtrack.kernels.verdicts import write_verdicts
 
 TINY = float(np.finfo(np.float64).tiny)
 # Log odds of what is certain, in double precision.
@@ -59,11 +60,6 @@ NEVER = 1e-15
 UNLIKELY = 0.003
 # Deleted targets whose probability to exist was never as large are not kept for the past.
 CONFIRMED = 0.05
-# Verdicts on a target's measurement: it has none, or there is doubt. The odds of a pair that leave
-# none.
-MISSED = -1
-DOUBTFUL = -2
-SURE = 99.0
 # How well the place of static clutter can be known, as a share of the variances by which the sensor
 # resolves states. Were it known better and better, a target that stands still would be explained by
 # it better and better.
@@ -589,32 +585,6 @@ def _share(edges: Records, edge_of: I8, pairs: Records) -> None:
         edge = edges[edge_of[q]]
         if edge.odds > 0.0:
             pairs[q].weight = edge.mu * pairs[q].weight / edge.odds
-
-
-@njit(**INNER)
-def write_verdicts(edges: Records, odds: F8, measurements: int, verdicts: I8) -> None:
-    """Write the measurement of each target (T,) that motion alone leaves no doubt of; `MISSED`
-    where it has none without doubt, else `DOUBTFUL`.
-
-    ``odds`` (E,): those of the ``edges``, without appearance. The probability of a pair is at least
-    odds/((1 + odds of the others of the target)(1 + those of the others of the measurement)) as
-    odds of having it.
-    """
-    if verdicts.size == 0:
-        return
-    total = np.zeros(verdicts.size)
-    claimed = np.zeros(measurements)
-    for k in range(edges.size):
-        total[edges[k].target] += odds[k]
-        claimed[edges[k].measurement] += odds[k]
-    for t in range(verdicts.size):
-        verdicts[t] = MISSED if total[t] < 1.0 / SURE else DOUBTFUL
-    for k in range(edges.size):
-        t = edges[k].target
-        others = 1.0 + max(total[t] - odds[k], 0.0)
-        rivals = 1.0 + max(claimed[edges[k].measurement] - odds[k], 0.0)
-        if odds[k] >= SURE * others * rivals:
-            verdicts[t] = edges[k].measurement
 
 
 @njit(**INNER)
