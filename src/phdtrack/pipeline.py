@@ -162,6 +162,7 @@ def advance(
             time,
             stages.associator.oldest(association),
         )
+    appeared = _appeared(stages, association, model, estimates, info)
     step = Step(
         number,
         time,
@@ -172,7 +173,7 @@ def advance(
         (updated - began, extracted - updated, clock.perf_counter() - extracted),
         int(np.count_nonzero(~usable)),
         _since_last(state.moved, model.warp),
-        _appeared(model, estimates, info),
+        appeared,
     )
 
     # Learn
@@ -182,7 +183,8 @@ def advance(
     if stages.camera:
         camera = stages.camera.with_targets(camera, estimates)
     if stages.appearance:
-        appearance = stages.appearance.advance(appearance, info.sure, frame_model.appearance)
+        sure = appeared[0].sure if appeared else info.sure
+        appearance = stages.appearance.advance(appearance, sure, model.appearance)
     after = TrackingState(
         intensity,
         association,
@@ -267,11 +269,14 @@ def _with_looks(
     return appearance, replace(model, appearance=looks)
 
 
-def _appeared(model: Model, estimates: Estimates, info: UpdateInfo) -> tuple[Appeared, ...]:
-    """`Step.appeared`."""
+def _appeared(
+    stages: AnyStages, association: Any, model: Model, estimates: Estimates, info: UpdateInfo
+) -> tuple[Appeared, ...]:
+    """`Step.appeared`, after the frame's ``association``."""
     if model.appearance is None:
         return ()
-    return (Appeared(model.appearance, estimates, info.sure),)
+    seen = Appeared(model.appearance, estimates, info.sure)
+    return (stages.associator.appeared(association, seen),)
 
 
 def _explained(

@@ -27,6 +27,7 @@ from phdtrack.types import (
     F8,
     I8,
     STILL,
+    Appeared,
     Detections,
     DividedDetections,
     Estimates,
@@ -383,6 +384,16 @@ class Associator(Protocol[A]):
     def exchanges(self, state: A) -> tuple[Exchange, ...]:
         """The identities that targets have exchanged, oldest first."""
         return ()
+
+    def appeared(self, state: A, seen: Appeared) -> Appeared:
+        """The looks of the newest frame's targets, and which of these motion leaves no doubt of: as
+        the filter has them, or by links where it has no labels.
+
+        Parameters
+        ----------
+        state, seen : after the frame, and as the filter has it.
+        """
+        return seen
 
     def oldest(self, state: A) -> int:
         """The number of the first frame that is remembered, 0 before the first one."""

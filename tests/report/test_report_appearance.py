@@ -102,7 +102,11 @@ def test_classes_are_counted_together():
     ("frames", "sections", "words"),
     [
         (6, {}, "too few pairs to learn from"),
-        (30, {"filter": "gm-phd"}, "Colours decided nothing: this filter does not use them."),
+        (
+            30,
+            {"filter": "mcmc", "associate": {"kind": "labelled"}},
+            "Colours decided nothing: this filter does not use them.",
+        ),
     ],
 )
 def test_where_nothing_is_learned_it_says_why(frames: int, sections: dict, words: str):

@@ -7,6 +7,9 @@ The best set of tracks is the path cover of maximum total gain: with each vertex
 out-side and an in-side, a bipartite matching (Shafique and Shah 2005). It is extended frame by
 frame, by one augmenting path per new vertex (`kernels.linking`).
 
+If it is known what states look like, an edge gains as well the log-likelihood ratio of the past of
+its earlier vertex and the detection of the later one [APP (2)] (`associate.vertex_looks`).
+
 The log-density of a loose end is that of a state ``loose_end_distance`` deviations away from a
 typical one-step prediction, so that the setting does not depend on the size of image or target, nor
 on the frame rate. The degenerate f is convolved with the covariances of both states and evaluated
@@ -38,6 +41,7 @@ from phdtrack.associate.history import (
     rows_of,
     seen_until,
 )
+from phdtrack.associate.vertex_looks import VertexLooks, ahead_of, appeared, linked
 from phdtrack.errors import (
     Checked,
     Count,
@@ -54,8 +58,10 @@ from phdtrack.models.gaussian import moved
 from phdtrack.models.rts import bridge, update
 from phdtrack.protocols import Model
 from phdtrack.types import (
+    F4,
     F8,
     I8,
+    Appeared,
     Bool,
     Detections,
     Estimates,
@@ -69,6 +75,7 @@ from phdtrack.types import (
 AGES = 32
 # Squared Mahalanobis radius of the 99 % region in four dimensions.
 REGION = 13.28
+_NO_LOOKS: F4 = np.zeros((0, 0), np.float32)
 
 
 class Identities(NamedTuple):
@@ -183,13 +190,16 @@ class BackDated(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class GraphState:
-    """Open links, everything seen, the online tracks, the number of vertices and the model time."""
+    """Open links, everything seen, the online tracks, the number of vertices, the model time, and
+    what open vertices look like.
+    """
 
     window: Window
     history: History
     online: OnlineTracks
     vertices: int = 0
     time: float = 0.0
+    looks: VertexLooks = field(default_factory=VertexLooks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,8 +264,9 @@ class GraphMatching(Checked):
         """
         window = state.window if state.vertices else empty_window(len(estimates.state))
         final = NO_LINKS
+        looks = state.looks
         if detections.observed:
-            window, final = self._linked(window, estimates, dt, model)
+            window, final, looks = self._linked(window, looks, estimates, dt, model)
         else:
             # Its rows continue identities; what is only predicted is linked to nothing.
             estimates = Estimates.empty(len(estimates.state))
@@ -271,14 +282,15 @@ class GraphMatching(Checked):
             detections.confidence,
             model.warp,
             detections.observed,
-            pace=model.pace,
+            _NO_LOOKS if detections.embeddings is None else detections.embeddings,
+            model.pace,
         )
         history = state.history.followed_by(moment)
         if history is state.history:
             return state, Tracks.empty()
         vertices = state.vertices + len(estimates)
         time = moment.time if moment.observed else state.time
-        extended = GraphState(window, history, state.online, vertices, time)
+        extended = GraphState(window, history, state.online, vertices, time, looks)
         due = len(history) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
@@ -346,6 +358,12 @@ class GraphMatching(Checked):
         """None: identities are those of the matching."""
         return ()
 
+    def appeared(self, state: GraphState, seen: Appeared) -> Appeared:
+        """The targets as links tell them, unless the filter follows them by label."""
+        if len(seen.estimates.followed):
+            return seen
+        return appeared(state.looks, seen)
+
     def oldest(self, state: GraphState) -> int:
         """The number of the first frame that is remembered."""
         first = next(iter(state.history), None)
@@ -356,9 +374,11 @@ class GraphMatching(Checked):
         return replace(state, online=replace(state.online, used=identity))
 
     def _linked(
-        self, window: Window, estimates: Estimates, dt: float, model: Model
-    ) -> tuple[Window, Links]:
-        """The window with the new states, and the links that can no longer change."""
+        self, window: Window, looks: VertexLooks, estimates: Estimates, dt: float, model: Model
+    ) -> tuple[Window, Links, VertexLooks]:
+        """The window with the new states, the links that can no longer change, and what the open
+        vertices look like.
+        """
         rows = np.array(model.sensor.observed)
         if not np.isfinite(estimates.state[rows[:2]]).all():
             raise InputError("expected positions that are finite", where="the extracted states")
@@ -381,8 +401,12 @@ class GraphMatching(Checked):
         span = self.window * model.rate + 1e-9
         gap_cost = self.gap_cost / model.rate
         terms = Terms(span, self.loose_end_distance, gap_cost, self.max_link_distance)
-        after, closed = link_states(window, mean, covariance, fresh, terms, float(dt))
-        return after, open_links(window, closed)
+        detection = np.ascontiguousarray(estimates.detection)
+        ahead = ahead_of(looks, len(window.since), detection, model.appearance)
+        after, closed, verdicts = link_states(
+            window, mean, covariance, fresh, terms, float(dt), ahead.arguments
+        )
+        return after, open_links(window, closed), linked(ahead, after, closed, verdicts)
 
     def _paths(self, moments: list[Moment], window: Window) -> list[Path]:
         """Tracks in order of appearance whose links gain enough."""

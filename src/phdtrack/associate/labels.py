@@ -58,6 +58,7 @@ from phdtrack.types import (
     F4,
     F8,
     I8,
+    Appeared,
     Bool,
     Detections,
     Estimates,
@@ -355,6 +356,10 @@ class Labelled(Checked):
     def exchanges(self, state: LabelledState) -> tuple[Exchange, ...]:
         """The identities that targets have exchanged."""
         return state.returns.exchanges
+
+    def appeared(self, state: LabelledState, seen: Appeared) -> Appeared:
+        """The same: labels are the filter's."""
+        return seen
 
     def oldest(self, state: LabelledState) -> int:
         """The number of the first frame that is remembered."""

@@ -24,6 +24,7 @@ from phdtrack.protocols import Associator, Model
 from phdtrack.types import (
     F8,
     I8,
+    Appeared,
     Bool,
     Detections,
     Estimates,
@@ -111,6 +112,10 @@ class FalseTrackRejection(Checked, Generic[A]):
     def exchanges(self, state: RejectionState[A]) -> tuple[Exchange, ...]:
         """The identities that targets have exchanged, oldest first."""
         return self.associator.exchanges(state.inner)
+
+    def appeared(self, state: RejectionState[A], seen: Appeared) -> Appeared:
+        """The looks of the newest frame's targets, as the associator has them."""
+        return self.associator.appeared(state.inner, seen)
 
     def oldest(self, state: RejectionState[A]) -> int:
         """The number of the first frame that is remembered."""

@@ -70,6 +70,7 @@ def build(
             Raw(),
             associator,
             smoother=smoother,
+            appearance=settings.build("appearance"),
             longest_interval=time.longest_interval,
             births_before=time.births_before,
         )

@@ -14,8 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F8, I8
+from phdtrack.kernels.appearance import HOLDER, MOST, Looks, Pasts, named, pair_ratios
 from phdtrack.kernels.association import (
     CLOSED,
+    EDGE,
     UNUSED,
     Edges,
     Matching,
@@ -25,8 +27,9 @@ from phdtrack.kernels.association import (
 )
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INLINED, INNER
-from phdtrack.kernels.gaussian import copy_gaussian, factor, norm2
+from phdtrack.kernels.gaussian import PAIR, copy_gaussian, factor, norm2
 from phdtrack.kernels.grid import Grid, make_grid, overlapping
+from phdtrack.kernels.verdicts import DOUBTFUL, write_verdicts
 
 # A vertex keeps its best links, at most so many. It has more if 25 states are near it in each of 50
 # frames.
@@ -141,13 +144,26 @@ def _best_links(target: I8, gain: F8) -> int:
     return kept
 
 
+class Linked(NamedTuple):
+    """The looks of states, as far as links need them.
+
+    ``past`` (R,): which of ``pasts`` each open vertex has, −1 for none. ``detection`` (n,): the
+    measurement of each new state, −1 for none. ``looks``: of the measurements.
+    """
+
+    past: I8
+    detection: I8
+    pasts: Pasts
+    looks: Looks
+
+
 class Bounds(NamedTuple):
     """Bounds that limit the search for links.
 
     Of the n new states: ``loose`` (n,) the gain of two loose ends, ``own`` (n,) log-determinants of
     their covariances. Of the open vertices: ``price`` (R,) of the gap to them, ``predicted`` (R,)
     log-determinants of their covariances. ``farthest``: squared distance beyond which nothing is
-    linked.
+    linked. ``most``: what appearance may add to a gain.
     """
 
     loose: F8
@@ -155,6 +171,7 @@ class Bounds(NamedTuple):
     price: F8
     predicted: F8
     farthest: float
+    most: float
 
 
 # The functions of one pair take arrays and no records: a record in a loop would have all of its
@@ -172,7 +189,9 @@ def _limit(loose: float, own: float, price: float, predicted: float, farthest: f
 
 
 @njit(**INNER)
-def _bounds_of(covariance: F8, since: F8, fresh: Fresh, terms: Terms, dt: float) -> Bounds:
+def _bounds_of(
+    covariance: F8, since: F8, fresh: Fresh, terms: Terms, dt: float, most: float
+) -> Bounds:
     """Bounds of links from the new states to vertices with these covariances."""
     old = since.size
     n = fresh.mean.shape[0]
@@ -189,7 +208,7 @@ def _bounds_of(covariance: F8, since: F8, fresh: Fresh, terms: Terms, dt: float)
     for c in range(old):
         price[c] = terms.gap_cost * (since[c] - dt)
         predicted[c] = _log_det(covariance, c, fresh.covariance, -1, fresh.observed, block, root)
-    return Bounds(loose, own, price, predicted, terms.max_distance * terms.max_distance)
+    return Bounds(loose, own, price, predicted, terms.max_distance * terms.max_distance, most)
 
 
 @njit(**INNER)
@@ -202,7 +221,7 @@ def _grid_of_vertices(mean: F8, covariance: F8, fresh: Fresh, bounds: Bounds) ->
     best = -np.inf
     least = np.inf
     for i in range(fresh.mean.shape[0]):
-        best = max(best, bounds.loose[i])
+        best = max(best, bounds.loose[i] + bounds.most)
         least = min(least, bounds.own[i])
         for a in range(2):
             o = fresh.observed[a]
@@ -262,10 +281,11 @@ def _add_edges(
     ``start``.
 
     gain = log N(step; 0, S) − log-density of two loose ends − gap_cost·(since − dt), S = predicted
-    + new covariance, in the observed rows. ``row``: number of the first open vertex.
+    + new covariance, in the observed rows. ``row``: number of the first open vertex. Gains that
+    appearance may make positive are among them.
     """
     new_mean, new_covariance, _, observed = fresh
-    loose, own, price, predicted, farthest = bounds
+    loose, own, price, predicted, farthest, most = bounds
     old = price.size
     r = observed.size
     block = np.empty((r, r))
@@ -285,7 +305,7 @@ def _add_edges(
         first = count
         for k in range(some):
             c = near[k]
-            limit = _limit(loose[i], own[i], price[c], predicted[c], farthest)
+            limit = _limit(loose[i] + most, own[i], price[c], predicted[c], farthest)
             if not _step_within(
                 mean, covariance, c, new_mean, new_covariance, i, observed, limit, step
             ):
@@ -293,7 +313,7 @@ def _add_edges(
             log_det = _log_det(covariance, c, new_covariance, i, observed, block, root)
             distance2 = norm2(step, root, y)
             value = loose[i] - price[c] - 0.5 * (distance2 + log_det)
-            if value > 0.0 and distance2 <= farthest:
+            if value > -most and distance2 <= farthest:
                 target[count] = row + c
                 gain[count] = value
                 count += 1
@@ -339,16 +359,91 @@ def _open_states(predicted: F8, covariance: F8, closed: int, fresh: Fresh) -> tu
     return mean, cov
 
 
+@njit(**INNER)
+def _add_appearance(start: I8, target: I8, gain: F8, old: int, row: int, linked: Linked) -> None:
+    """Add the log-likelihood ratios of what states look like to the gains of the edges of the new
+    states, which are those after the first ``old`` rows, and leave out those that gain nothing.
+
+    ``row``: number of the first open vertex.
+    """
+    first = start[old]
+    pairs = np.empty(start[start.size - 1] - first, PAIR)
+    edge = np.empty(pairs.size, np.int64)
+    count = 0
+    for i in range(linked.detection.size):
+        j = linked.detection[i]
+        for k in range(start[old + i], start[old + i + 1]):
+            if j >= 0:
+                pairs[count].gaussian = target[k] - row
+                pairs[count].measurement = j
+                edge[count] = k
+                count += 1
+    holders = np.empty(linked.past.size, HOLDER)
+    for c in range(holders.size):
+        holders[c].past = linked.past[c]
+    ratio = pair_ratios(pairs[:count], holders, linked.pasts, linked.looks)
+    for q in range(ratio.size):
+        gain[edge[q]] += ratio[q]
+    kept = first
+    begin = first
+    for i in range(linked.detection.size):
+        end = start[old + i + 1]
+        for k in range(begin, end):
+            if gain[k] > 0.0:
+                target[kept] = target[k]
+                gain[kept] = gain[k]
+                kept += 1
+        start[old + i + 1] = kept
+        begin = end
+
+
+@njit(**INNER)
+def _by_motion(start: I8, target: I8, gain: F8, onward: I8, row: tuple[int, int], count: int) -> I8:
+    """(R,) `write_verdicts` on the open vertices before the new states (n,): the state that each
+    goes on with; `DOUBTFUL` for one that goes on already.
+
+    The odds of a link are exp(gain). ``onward``: of the first open vertex and those after it, what
+    each is matched to before. ``row``: the numbers of the first open vertex, and of the first
+    ``onward``; ``count``: of new states.
+    """
+    old = start.size - 1 - count
+    edges = np.empty(start[old + count] - start[old], EDGE)
+    odds = np.empty(edges.size)
+    found = 0
+    for i in range(count):
+        for k in range(start[old + i], start[old + i + 1]):
+            if onward[target[k] - row[1]] == UNUSED:
+                edges[found].target = target[k] - row[0]
+                edges[found].measurement = i
+                odds[found] = np.exp(gain[k])
+                found += 1
+    verdicts = np.empty(old, np.int64)
+    write_verdicts(edges[:found], odds[:found], count, verdicts)
+    for c in range(old):
+        if onward[row[0] + c - row[1]] != UNUSED:
+            verdicts[c] = DOUBTFUL
+    return verdicts
+
+
 @njit(**ENTRY)
 def link_states(
-    window: Window, predicted: F8, covariance: F8, fresh: Fresh, terms: Terms, dt: float
-) -> tuple[Window, int]:
+    window: Window,
+    predicted: F8,
+    covariance: F8,
+    fresh: Fresh,
+    terms: Terms,
+    dt: float,
+    appearance: Linked,
+) -> tuple[Window, int, I8]:
     """One frame of the open matching: old vertices are closed, n new ones are linked [M07 §3].
 
     ``predicted`` (R, d), ``covariance`` (R, d, d): the states of the window before, predicted for
-    the present frame; ``dt``: model time since then. The second number is how many rows of the old
-    window were closed: their links can no longer change.
+    the present frame; ``dt``: model time since then. ``appearance``: of the vertices of the window
+    before, and of the new states. The second result is how many rows of the old window were closed:
+    their links can no longer change. The third is what `_by_motion` says of the others (R',), (0,)
+    where it is not known what states look like.
     """
+    past, detection, pasts, looks = appearance
     n = fresh.mean.shape[0]
     # Close the vertices that have become older than the window.
     closed = 0
@@ -368,9 +463,15 @@ def link_states(
     room = 8 * old + 64
     target = _kept(window.target, first, room, 0)
     gain = _kept(window.edge_gain, first, room, 0.0)
-    bounds = _bounds_of(cov, since[:old], fresh, terms, dt)
+    linked = Linked(past[closed:], detection, Pasts(*pasts), named(looks))
+    most = MOST * linked.looks.law.weight
+    bounds = _bounds_of(cov, since[:old], fresh, terms, dt, most)
     row = window.row + closed
     target, gain = _add_edges(mean, cov, fresh, bounds, row, start, target, gain)
+    verdicts = np.empty(0, np.int64)
+    if len(linked.looks.mean) > 0:
+        verdicts = _by_motion(start, target, gain, onward, (row, window.column), n)
+        _add_appearance(start, target, gain, old, row, linked)
     # Extend the matching by the new rows.
     after = Window(
         window.column + gone,
@@ -388,7 +489,7 @@ def link_states(
         cov,
     )
     _match_rows(after, old)
-    return after, closed
+    return after, closed, verdicts
 
 
 @njit(**INNER)
