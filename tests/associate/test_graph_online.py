@@ -12,6 +12,7 @@ from association_cases import (
     model_of,
     run,
     scattered,
+    seen_as,
     states,
     table,
     walkers,
@@ -19,7 +20,7 @@ from association_cases import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.types import Estimates
+from phdtrack.types import Detections, Estimates
 
 seeds = st.integers(0, 2**32 - 1)
 # Hardly ever seen and hardly ever gone: a missing target is waited for as long as is allowed.
@@ -55,6 +56,27 @@ def test_every_state_is_given_once_and_identities_are_unique(seed: int, delay: i
     for name in set(online.identity):
         confirmed = online.confirmed[online.identity == name]
         assert not (confirmed[:-1] & ~confirmed[1:]).any(), "once confirmed, always confirmed"
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_frames_without_detector_between_corrected_links(delay: int):
+    """An identity may have lost the state that follows its last one to another identity."""
+    matching = matching_of(min_track_length=2, miss=0.7, loose_end_distance=5.0, output_delay=delay)
+    model = model_of()
+    for seed in range(20):
+        frames = scattered(np.random.default_rng(seed), 15, 4, side=60)
+        state = matching.start()
+        plain = matching.start()
+        for k, estimates in enumerate(frames):
+            z = estimates.state[list(model.sensor.observed)]
+            seen = seen_as(z)
+            state, rows = matching.extend(state, estimates, z, seen, 2 * k + 1, 1.0, model)
+            plain, _ = matching.extend(plain, estimates, z, seen, 2 * k + 1, 1.0, model)
+            gap = Detections.empty(observed=False)
+            state, between = matching.extend(state, estimates, z, gap, 2 * k + 2, 0.5, model)
+            for part in (rows, between):
+                assert len(np.unique(part.identity)) == len(part)
+        assert links(state) == links(plain)
 
 
 @given(seeds, st.integers(3, 9))

@@ -493,7 +493,8 @@ class GraphMatching(Checked):
         held = [state.history[k] for k in range(place + 1, len(state.history))]
         onward, _ = _onward(online.first, state.window, held)
         after = onward[known.last - online.first]
-        bridging = (known.confirmed & (after >= 0)).nonzero()[0]
+        # A state of an earlier frame that goes on from it has another identity.
+        bridging = (known.confirmed & (after >= state.history[place].first)).nonzero()[0]
         parts = _bridged(known.select(bridging), after[bridging], state.history, place, model)
         going = (known.confirmed & (after < 0) & (known.confidence > 0)).nonzero()[0]
         unlinked = np.ones(len(going), np.bool_)
