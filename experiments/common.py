@@ -325,19 +325,19 @@ def phdtrack(*arguments: str) -> str:
 
 
 def run_peers(
-    name: str, arguments: Sequence[object], jobs: int, python: Path = PEERS_PYTHON
+    name: str, arguments: Sequence[object], jobs: int, python: Path | None = None
 ) -> None:
-    """Run the module experiments.NAME_peers in the environment of the peers; ``jobs`` as in
-    `Options`. Raises `InputError` if the environment is missing.
+    """Run the module experiments.NAME_peers in the environment of the peers, or by another
+    ``python``; ``jobs`` as in `Options`. Raises `InputError` if the environment is missing.
     """
+    usual = python is None
+    python = python or PEERS_PYTHON
     if not python.is_file():
         raise InputError(
             "the peers' scores for this are not kept, so that the peers have to run, and their"
             " environment is missing",
             where=python,
-            cure="Say make peers"
-            if python == PEERS_PYTHON
-            else f"experiments.{name}_peers says how",
+            cure="Say make peers" if usual else f"experiments.{name}_peers says how",
         )
     print(f"{name}: the peers run in their environment", file=sys.stderr, flush=True)
     words = [python, "-m", f"experiments.{name}_peers", *arguments]

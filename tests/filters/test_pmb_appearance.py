@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from appearance_cases import D, frame_of, identity_of, pacing, prototypes, tracker_of
 from inner_kernels import from_python
 from phdtrack import Tracker, pipeline
+from phdtrack.kernels.appearance import described
 from phdtrack.kernels.association import EDGE
 from phdtrack.kernels.verdicts import DOUBTFUL, MISSED, write_verdicts
 from phdtrack.types import F8, Detections, Tracks
@@ -207,6 +208,12 @@ def test_verdicts_leave_no_doubt(seed: int, targets: int, n: int):
             assert 0.009 < missed[t] < 0.991
 
 
+def _all_free(*arguments: Any) -> tuple[Any, ...]:
+    """`described`, as if no box covered another."""
+    unit, seen, mean, free, count = described(*arguments)
+    return unit, seen, mean, np.ones(len(free)), count
+
+
 def test_hypotheses_of_a_target_have_pasts_of_their_own():
     """Two measurements near one target: what each hypothesis remembers is the one it took."""
     tracker = tracker_of()
@@ -222,7 +229,7 @@ def test_hypotheses_of_a_target_have_pasts_of_their_own():
         np.vstack([both, others.xyxy]), embeddings=np.vstack([looks, others.embeddings])
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phdtrack.models.appearance.free_parts", lambda boxes: np.ones(len(boxes)))
+        patch.setattr("phdtrack.models.appearance.described", _all_free)
         tracker.update(found)
     state = tracker.state.intensity
     own = state.present.hypotheses[state.present.hypotheses["target"] == 0]

@@ -29,7 +29,7 @@ from phdtrack.kernels.identities import (
     nobody,
     seen_after,
 )
-from phdtrack.models.returns import log_odds
+from phdtrack.models.returns import LOOKS_COUNT, log_odds
 from phdtrack.types import F8, I8, Bool, Estimates, Exchange, Return
 
 # Detections of a new target from which on it is compared, and seconds until which it is.
@@ -51,8 +51,8 @@ LARGER = 0.25
 DOUBT = 5.0
 # The log odds that two that have met have exchanged identities, and that one has that of the other,
 # which has not been followed since. Errors of looks in a meeting last, so that these are low.
-EXCHANGED = -3.0
-EXCHANGED_WITH_LOST = -5.0
+EXCHANGED = -4.5
+EXCHANGED_WITH_LOST = -6.0
 # Independent descriptors of how a target looks just now that this needs.
 LEAST_LATELY = 1.5
 
@@ -351,7 +351,7 @@ def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
     # Those that came back are not new.
     births = max(state.confirmed - len(state.pairs), 1) / max(state.time - state.begun, 1.0)
     prior = log_odds(gap.ravel(), lost.xyxy[b], seen.xyxy[new][a], births, area)
-    odds: F8 = np.exp(prior + ratio).reshape(gap.shape)
+    odds: F8 = np.exp(prior + LOOKS_COUNT * ratio).reshape(gap.shape)
     odds[gap > looks.law.within] = 0.0
     return odds
 
