@@ -57,6 +57,18 @@ def test_people_who_look_different_are_told_apart():
         assert curve.sum() * (x[1] - x[0]) == pytest.approx(1, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [(0, ""), (1, "1 pair of objects that were taken"), (2, "2 pairs of objects that were taken")],
+)
+def test_identities_exchanged_are_told(count: int, words: str):
+    one = replace(seen(prototypes(8), frames=60), exchanged=count)
+    said = told(one)
+    assert ("exchanged their identities" in said) == (count > 0)
+    assert words in said
+    assert "\n\n" not in said
+
+
 def test_people_who_look_alike_are_not():
     one = seen(np.tile(prototypes(1), (8, 1)))
     assert one.alike

@@ -68,6 +68,7 @@ class AppearanceWorth:
     unused : True if the filter follows targets and does not know what they look like.
     returns : identities that were given back, oldest first.
     source : ``colours``, or what else describes the boxes.
+    exchanged : pairs of objects that exchanged their identities.
     """
 
     same: I8
@@ -81,6 +82,7 @@ class AppearanceWorth:
     unused: bool
     returns: tuple[Returned, ...] = ()
     source: str = "colours"
+    exchanged: int = 0
 
     @property
     def told_apart(self) -> float:

@@ -75,6 +75,7 @@ def write_report(
         worth = progress.recorder.appearance.worth(
             run.inputs.descriptors.name, progress.tracker.returns, record.numbers, record.times
         )
+        worth = replace(worth, exchanged=len(progress.tracker.exchanges))
         record = replace(record, appearance=worth)
     confirmed = _confirmation(run, progress)
     wrong = scene_warnings(run.inputs.detector)
