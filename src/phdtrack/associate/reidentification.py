@@ -29,7 +29,7 @@ from phdtrack.kernels.identities import (
     nobody,
     seen_after,
 )
-from phdtrack.models.returns import LOOKS_COUNT, log_odds
+from phdtrack.models.returns import log_odds
 from phdtrack.types import F8, I8, Bool, Estimates, Exchange, Return
 
 # Detections of a new target from which on it is compared, and seconds until which it is.
@@ -351,7 +351,7 @@ def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
     # Those that came back are not new.
     births = max(state.confirmed - len(state.pairs), 1) / max(state.time - state.begun, 1.0)
     prior = log_odds(gap.ravel(), lost.xyxy[b], seen.xyxy[new][a], births, area)
-    odds: F8 = np.exp(prior + LOOKS_COUNT * ratio).reshape(gap.shape)
+    odds: F8 = np.exp(prior + ratio).reshape(gap.shape)
     odds[gap > looks.law.within] = 0.0
     return odds
 

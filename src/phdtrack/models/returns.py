@@ -3,7 +3,7 @@
 A target that ends comes back with the probability p_R, after a time with the mean τ, near where it
 was lost, by a Gaussian that widens with the time Δ, or anywhere. Its odds against a new target are
 
-    p_R/τ exp(−Δ/τ) · p(place | Δ) / (births per second and unit of area) · exp(0.85 ℓ)
+    p_R/τ exp(−Δ/τ) · p(place | Δ) / (births per second and unit of area) · exp ℓ
 
 with ℓ the log-likelihood ratio of what both look like.
 """
@@ -23,9 +23,6 @@ RETURN_TIME = 30.0
 # of their place fades, in heights of the box a second.
 NEARBY = 0.5
 DRIFT = 1.0
-# What the log-likelihood ratio of looks counts for: some people are dressed alike, which lessons of
-# a few do not show (docs/results/appearance.md, people who come back).
-LOOKS_COUNT = 0.85
 
 
 def log_odds(gap: F8, lost: F8, new: F8, births: float, area: float) -> F8:

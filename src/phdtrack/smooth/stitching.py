@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels.association import best_pairs
-from phdtrack.models.returns import LOOKS_COUNT, log_odds
+from phdtrack.models.returns import log_odds
 from phdtrack.models.rts import predict
 from phdtrack.smooth.looks import SequenceLooks
 from phdtrack.smooth.paths import Paths, joined
@@ -216,7 +216,7 @@ def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tup
         after = block[column]
         gaps = gap[before, column]
         odds = log_odds(gaps, boxes[last[before]], boxes[first[after]], births, area)
-        odds += LOOKS_COUNT * ends.likeness(before, after)
+        odds += ends.likeness(before, after)
         kept = odds > 0
         good.append((before[kept], after[kept], odds[kept]))
     if not good:
