@@ -16,6 +16,8 @@ D = 16
 # known of their looks, so that motion has decided before, and of the whole.
 HIDDEN = range(96, 105)
 DARK = range(105, 113)
+# The frame in which those of `turning` meet.
+TURN = 120
 FRAMES = 150
 WAY = 4.0
 
@@ -98,3 +100,58 @@ def meeting(turn: bool, looks: np.ndarray = LOOKS) -> list[Detections]:
             views[:2] = 0
         out.append(Detections.of(np.array(boxes), embeddings=views))
     return out
+
+
+def turning(swapped: bool, away: int = 0, step: float = 30.0) -> Callable[[int, int], F8]:
+    """Places by person and frame: two walk to one place, where they are for ``away`` frames; then
+    they turn by 90°, one up and one down, and are ``step`` pixels apart from it. Their motion
+    before says nothing of who goes where. Others pace elsewhere.
+    """
+
+    def place(person: int, k: int) -> F8:
+        if person > 1:
+            return pacing(person, k)
+        side = (-1) ** person
+        if k < TURN:
+            x = side * min(4.0 * (TURN - k), 200.0)
+            y = 0.0
+        else:
+            x = 0.0
+            y = side * (-1) ** swapped * (step + 2.0 * (k - TURN - away)) * (k >= TURN + away)
+        corner = np.array([900 + x, 330 + y])
+        return np.append(corner, corner + 40)
+
+    return place
+
+
+def measured(place: Callable[[int, int], F8], seed: int) -> Callable[[int, int], F8]:
+    """These places with errors of 1.5 pixels."""
+    return lambda person, k: (
+        place(person, k) + np.random.default_rng([seed, person, k]).normal(0, 1.5, 4)
+    )
+
+
+def turned_rightly(hidden: range, step: float, scenes: int, **sections) -> int:
+    """In how many scenes two who turn have the identities that they had before.
+
+    In the frames ``hidden`` they are not detected. Who goes where alternates, so that half of the
+    scenes are right by chance.
+    """
+    begun = tracker_of(**sections)
+    rows = Tracks.empty()
+    for k in range(hidden.start):
+        found = frame_of([0, 1, 2], k, LOOKS, measured(turning(False, step=step), 0))
+        rows = begun.update(found)
+    before = [identity_of(rows, 0), identity_of(rows, 1)]
+    assert 0 not in before
+    saved = begun.state_dict()
+    right = 0
+    for seed in range(scenes):
+        tracker = tracker_of(**sections)
+        tracker.load_state_dict(saved)
+        place = measured(turning(seed % 2 == 0, step=step), seed)
+        for k in range(hidden.start, TURN + 25):
+            people = [2] if k in hidden else [0, 1, 2]
+            rows = tracker.update(frame_of(people, k, LOOKS, place))
+        right += [identity_of(rows, 0), identity_of(rows, 1)] == before
+    return right

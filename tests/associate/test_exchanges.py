@@ -139,7 +139,7 @@ def state_of(own: np.ndarray, lately: np.ndarray, alive: list[bool]) -> Returns:
         lately=lately.astype(np.float32),
         lately_weight=np.full(n, 3.0),
         lately_number=np.full(n, 2.0),
-        clear=np.full(n, 9.0),
+        updated=np.full(n, 9.0),
     )
     return Returns(
         seen=seen, lost=nobody(D), met=np.array(pairs), when=np.full(len(pairs), 8.5), time=9.0

@@ -128,7 +128,7 @@ def test_run_json_lists_identities_exchanged(tmp_path: Path) -> None:
         (one.frame, one.identities) for one in tracker.exchanges
     ]
     assert len(told) == 1
-    assert told[0]["odds"] == pytest.approx(tracker.exchanges[0].odds, rel=3)
+    assert told[0]["odds"] > 50
 
 
 def test_without_appearance_there_is_no_list(files: tuple[Path, Path], tmp_path: Path) -> None:

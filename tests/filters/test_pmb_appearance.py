@@ -12,7 +12,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from appearance_cases import D, frame_of, identity_of, pacing, prototypes, tracker_of
+from appearance_cases import (
+    TURN,
+    D,
+    frame_of,
+    identity_of,
+    measured,
+    pacing,
+    prototypes,
+    tracker_of,
+    turning,
+)
 from inner_kernels import from_python
 from phdtrack import Tracker, pipeline
 from phdtrack.kernels.appearance import described
@@ -26,49 +36,20 @@ from tracker_cases import equal
 
 LOOKS = prototypes(6)
 NONE = {"appearance": {"kind": "none"}}
-# Two people walk to one place, where they turn by 90°, one up and one down: which one is drawn, and
-# their motion before says nothing of it. A third one paces elsewhere.
-MEET = 120
 SEEDS = 12
 
 
-def turning(swapped: bool, away: int, step: float) -> Callable[[int, int], F8]:
-    """Places of these people, by person and frame; they are in one place for ``away`` frames, and
-    then ``step`` pixels apart from it.
-    """
-
-    def place(person: int, k: int) -> F8:
-        if person > 1:
-            return pacing(person, k)
-        side = (-1) ** person
-        if k < MEET:
-            x = side * min(4.0 * (MEET - k), 200.0)
-            y = 0.0
-        else:
-            x = 0.0
-            y = side * (-1) ** swapped * (step + 2.0 * (k - MEET - away)) * (k >= MEET + away)
-        corner = np.array([900 + x, 330 + y])
-        return np.append(corner, corner + 40)
-
-    return place
-
-
 def turn(seed: int, away: int, step: float) -> Callable[[int, int], F8]:
-    """`turning` with errors of 1.5 pixels; who goes where is drawn."""
+    """`turning`; who goes where is drawn."""
     rng = np.random.default_rng([seed, 9])
-    place = turning(bool(rng.random() < 0.5), away, step)
-
-    def measured(person: int, k: int) -> F8:
-        return place(person, k) + np.random.default_rng([seed, person, k]).normal(0, 1.5, 4)
-
-    return measured
+    return measured(turning(bool(rng.random() < 0.5), away, step), seed)
 
 
 @cache
 def learned(kind: str) -> dict[str, Any]:
     """The state before they meet."""
     tracker = tracker_of(appearance={"kind": kind})
-    for k in range(MEET - 10):
+    for k in range(TURN - 10):
         tracker.update(frame_of([0, 1, 2], k, LOOKS, turn(0, 0, 0.0)))
     return tracker.state_dict()
 
@@ -91,10 +72,10 @@ def met(
     tracker.load_state_dict(learned(kind))
     place = turn(seed, away, step)
     rows = Tracks.empty()
-    for k in range(MEET - 10, MEET + away + 25):
-        gone = hidden and k < MEET + away
+    for k in range(TURN - 10, TURN + away + 25):
+        gone = hidden and k < TURN + away
         found = frame_of([2] if gone else [0, 1, 2], k, LOOKS, place)
-        if 0 <= k - MEET - away < unknown:
+        if 0 <= k - TURN - away < unknown:
             found = replace(found, embeddings=None)
         rows = tracker.update(found)
     # Identities began with detections in their order.
@@ -127,7 +108,7 @@ def test_corrected_tracks_are_parted_where_they_met(scene: dict[str, Any]):
     """Detected in one place for two seconds, whose boxes show nothing meanwhile; or hidden, and
     without descriptors for a while when they come back, so that tracks go on with the other one.
     """
-    end = MEET + scene.get("away", 0) + 25
+    end = TURN + scene.get("away", 0) + 25
     right = 0
     for seed in range(SEEDS):
         _, tracker = met("learned", seed, **scene)

@@ -9,10 +9,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from appearance_cases import LOOKS, frame_of, tracker_of
 from phdtrack import Tracker
 from phdtrack.metrics import evaluate
 from phdtrack.simulate import Scene, make_scene
 from phdtrack.types import F4, F8, I8, Tracks
+from tracker_cases import equal
 
 SEEDS = (1, 2, 3)
 FRAMES = 200
@@ -134,6 +136,17 @@ def gains(name: str) -> np.ndarray:
 
 def test_constant_descriptors_change_nothing():
     np.testing.assert_array_equal(gains("constant"), 0)
+
+
+@pytest.mark.parametrize("filter_", ["gm-phd", "none", "mht", "pmbm"])
+def test_constant_looks_change_nothing_for_other_filters(filter_: str):
+    plain = tracker_of(filter={"kind": filter_}, appearance={"kind": "none"})
+    other = tracker_of(filter={"kind": filter_})
+    for k in range(60):
+        found = frame_of([0, 1, 2, 3] if k % 7 else [0, 2], k, LOOKS)
+        alike = replace(found, embeddings=np.ones((len(found), D), np.float32))
+        assert equal(plain.update(replace(found, embeddings=None)), other.update(alike))
+    assert equal(plain.tracks(), other.tracks())
 
 
 @pytest.mark.parametrize("name", list(SOURCES)[1:-1])

@@ -134,7 +134,6 @@ def test_two_who_swapped_are_parted_at_one_time():
 
 def test_tracks_far_apart_are_parted_each_at_its_own_time():
     tracks, measurements = meeting(swapped=True)
-    far = replace(tracks, xyxy=tracks.xyxy + 0.0)
     column = measurements.columns(tracks)
     z = measurements.z.copy()
     z[0, column[tracks.identity == 2]] += 400
@@ -142,7 +141,7 @@ def test_tracks_far_apart_are_parted_each_at_its_own_time():
     views = measurements.embeddings.copy()
     middle = MEET[len(MEET) // 2]
     views[(number > middle) & (number < middle + 8) & (measurements.row == 1)] = 0
-    pieces = pieces_of(far, replace(measurements, z=z, embeddings=views))
+    pieces = pieces_of(tracks, replace(measurements, z=z, embeddings=views))
     ends = [pieces.frame[pieces.identity == name].max() for name in (1, 2)]
     assert ends[0] != ends[1]
 

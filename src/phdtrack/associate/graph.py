@@ -35,6 +35,7 @@ from phdtrack.associate.history import (
     History,
     Moment,
     Path,
+    descriptors,
     measurements,
     observed_only,
     open_links,
@@ -58,7 +59,6 @@ from phdtrack.models.gaussian import moved
 from phdtrack.models.rts import bridge, update
 from phdtrack.protocols import Model
 from phdtrack.types import (
-    F4,
     F8,
     I8,
     Appeared,
@@ -75,7 +75,6 @@ from phdtrack.types import (
 AGES = 32
 # Squared Mahalanobis radius of the 99 % region in four dimensions.
 REGION = 13.28
-_NO_LOOKS: F4 = np.zeros((0, 0), np.float32)
 
 
 class Identities(NamedTuple):
@@ -282,7 +281,7 @@ class GraphMatching(Checked):
             detections.confidence,
             model.warp,
             detections.observed,
-            _NO_LOOKS if detections.embeddings is None else detections.embeddings,
+            descriptors(detections),
             model.pace,
         )
         history = state.history.followed_by(moment)

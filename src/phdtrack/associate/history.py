@@ -13,7 +13,17 @@ from phdtrack.kernels.linking import Links, Window
 from phdtrack.models import warp as warp_of
 from phdtrack.models.rts import bridge
 from phdtrack.protocols import Model
-from phdtrack.types import F4, F8, I8, STILL, Estimates, MeasurementHistory, Tracks, row_of
+from phdtrack.types import (
+    F4,
+    F8,
+    I8,
+    STILL,
+    Detections,
+    Estimates,
+    MeasurementHistory,
+    Tracks,
+    row_of,
+)
 
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 # Seconds of the filter's time that are remembered by default, so that memory stays bounded: some
@@ -250,6 +260,13 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
         _embeddings([(m.embeddings, index) for m, index in each]),
         _pace(held),
     )
+
+
+def descriptors(detections: Detections) -> F4:
+    """(N, D) the embeddings of detections; (0, 0) without."""
+    if detections.embeddings is None:
+        return np.zeros((0, 0), np.float32)
+    return detections.embeddings
 
 
 def _pace(moments: list[Moment]) -> F8:

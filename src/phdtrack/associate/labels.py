@@ -32,30 +32,20 @@ from phdtrack.associate.history import (
     NO_LINKS,
     History,
     Moment,
+    descriptors,
     measurements,
     next_moment,
     rows_of,
     seen_until,
     unobserved_at_end,
 )
-from phdtrack.associate.reidentification import (
-    Names,
-    Returns,
-    exchanged,
-    exchanges,
-    forgetting,
-    given_back,
-    named,
-    remembering,
-    taken,
-)
+from phdtrack.associate.reidentification import Names, Returns, reidentified
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
 from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning
 from phdtrack.models.warp import warp_states
 from phdtrack.protocols import Model
 from phdtrack.types import (
-    F4,
     F8,
     I8,
     Appeared,
@@ -78,7 +68,6 @@ PATIENCE = 0.8
 PATIENT_FRAMES = 20.0
 _NONE = np.zeros(0)
 _NO_BOX = np.zeros((0, 4))
-_NO_LOOKS: F4 = np.zeros((0, 0), np.float32)
 NO_TRACKS = Followed(np.zeros(0, np.int64), _NONE, _NONE, _NO_BOX, _NO_BOX, np.zeros((2, STEPS)))
 
 
@@ -250,7 +239,7 @@ class Labelled(Checked):
                 detections.confidence,
                 model.warp,
                 detections.observed,
-                _NO_LOOKS if detections.embeddings is None else detections.embeddings,
+                descriptors(detections),
                 model.pace,
             ),
         )
@@ -290,18 +279,10 @@ class Labelled(Checked):
         """The state, and what is known at present, with the identities that are given back."""
         names = Names(present.label, present.identity)
         sure = self._confirmed(present, present.places(now.estimates.tag))
-        seen = remembering(state.returns, estimates, now.rows, now.number, looks, sure)
-        seen = forgetting(named(seen, names), looks.law.within)
-        swapped = exchanges(seen, looks, now.number, names)
-        seen = exchanged(seen, swapped)
-        pairs = given_back(seen, looks)
-        state = replace(state, returns=taken(seen, pairs))
-        change = dict[int, int]()
-        for each in swapped:
-            change |= zip(each.labels, each.identities[::-1], strict=True)
-        for pair in pairs:
-            # Should the filter report it again, it is another one.
-            change |= {pair.earlier: 0, pair.later: pair.identity}
+        returns, change = reidentified(
+            state.returns, estimates, now.rows, now.number, looks, sure, names
+        )
+        state = replace(state, returns=returns)
         if not change:
             return state, present
         label = np.array(sorted(change))

@@ -92,6 +92,36 @@ class Names(NamedTuple):
     identity: I8
 
 
+def reidentified(
+    state: Returns,
+    estimates: Estimates,
+    rows: I8,
+    frame: int,
+    looks: Looks,
+    confirmed: Bool,
+    names: Names,
+) -> tuple[Returns, dict[int, int]]:
+    """The state after a frame, and the labels that have another identity from now on, 0: none.
+
+    Parameters
+    ----------
+    estimates, rows, frame, looks, confirmed : as of `remembering`.
+    names : the identities of all labels until now.
+    """
+    seen = remembering(state, estimates, rows, frame, looks, confirmed)
+    seen = forgetting(named(seen, names), looks.law.within)
+    swapped = exchanges(seen, looks, frame, names)
+    seen = exchanged(seen, swapped)
+    pairs = given_back(seen, looks)
+    change = dict[int, int]()
+    for each in swapped:
+        change |= zip(each.labels, each.identities[::-1], strict=True)
+    for pair in pairs:
+        # Should the filter report it again, it is another one.
+        change |= {pair.earlier: 0, pair.later: pair.identity}
+    return taken(seen, pairs), change
+
+
 def remembering(
     state: Returns,
     estimates: Estimates,

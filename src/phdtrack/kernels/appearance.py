@@ -222,35 +222,30 @@ def described(raw: F4, boxes: F8, mean: F4, most: float, count: float) -> tuple[
     n, size = raw.shape
     unit = np.zeros((n, size), np.float32)
     total = np.zeros(size, np.float32)
-    known = 0
+    known = np.zeros(n, np.bool_)
     for i in range(n):
         length = 0.0
         for k in range(size):
             length += np.float64(raw[i, k]) * np.float64(raw[i, k])
-        if 0.0 < length < math.inf:
-            known += 1
+        known[i] = 0.0 < length < math.inf
+        if known[i]:
             scale = np.float32(1.0 / math.sqrt(length))
             for k in range(size):
                 unit[i, k] = raw[i, k] * scale
                 total[k] += unit[i, k]
     after = mean.copy()
-    if known > 0:
-        count = min(count, most) + known
+    more = known.sum()
+    if more > 0:
+        count = min(count, most) + more
         for k in range(size):
-            after[k] += np.float32((total[k] - known * mean[k]) / count)
+            after[k] += np.float32((total[k] - more * mean[k]) / count)
     seen = directions(unit, after)
     free = free_parts(boxes)
     for i in range(n):
-        missing = True
-        for k in range(size):
-            missing = missing and unit[i, k] == 0.0
-        nearly_mean = True
-        for k in range(size):
-            nearly_mean = nearly_mean and seen[i, k] == 0.0
-        if missing or nearly_mean:
-            free[i] = 0.0
-        if missing:
+        if not known[i]:
             seen[i] = 0.0
+        if not similarity_of(seen, i, seen, i) > 0.0:
+            free[i] = 0.0
     return unit, seen, after, free, count
 
 

@@ -28,7 +28,7 @@ class Seen(NamedTuple):
 
     ``mean`` (K, D), ``weight``, ``number``: of what its identity looks like, as of
     `kernels.appearance.Pasts`; ``lately`` (K, D), ``lately_weight``, ``lately_number``: of what the
-    target has looked like just now; ``clear``: seconds of the last detection that they are of.
+    target has looked like just now; ``updated``: seconds of the last detection that both are of.
     """
 
     label: I8
@@ -47,7 +47,7 @@ class Seen(NamedTuple):
     lately: F4
     lately_weight: F8
     lately_number: F8
-    clear: F8
+    updated: F8
 
     def select(self, index: I8 | Bool) -> Seen:
         """The rows at ``index``."""
@@ -125,7 +125,7 @@ def seen_after(
         out.xyxy[p] = now.xyxy[k]
         out.detections[p] += 1
         share = min(looks.free[j], now.clear[k])
-        if share > 0.0 and looks.time > out.clear[p]:
+        if share > 0.0 and looks.time > out.updated[p]:
             _look(out, p, looks, j, share, memories)
     for t in range(out.label.size):
         at = np.searchsorted(followed, out.label[t])
@@ -158,7 +158,7 @@ def _begin(out: Seen, p: int, now: Present, k: int, frame: int, time: float) -> 
     out.lately_weight[p] = min(now.number[k], 1.0)
     out.number[p] = now.number[k]
     out.lately_number[p] = min(now.number[k], 1.0)
-    out.clear[p] = time
+    out.updated[p] = time
 
 
 @njit(**INNER)
@@ -206,7 +206,7 @@ def _with_room(before: Seen, label: I8, size: int) -> Seen:
         out.lately[p] = before.lately[old]
         out.lately_weight[p] = before.lately_weight[old]
         out.lately_number[p] = before.lately_number[old]
-        out.clear[p] = before.clear[old]
+        out.updated[p] = before.updated[old]
         old += 1
     return out
 
@@ -216,7 +216,7 @@ def _look(
     out: Seen, p: int, looks: Looks, j: int, share: float, memories: tuple[float, float]
 ) -> None:
     """Take detection j into what target p and its identity look like."""
-    seconds = looks.time - out.clear[p]
+    seconds = looks.time - out.updated[p]
     rho = math.exp(-seconds / looks.law.independent)
     new = share * (1.0 - rho) / (1.0 + rho)
     own, short = memories
@@ -231,7 +231,7 @@ def _look(
     for d in range(looks.mean.size):
         out.mean[p, d] += part * (looks.raw[j, d] - out.mean[p, d])
         out.lately[p, d] += lately_part * (looks.raw[j, d] - out.lately[p, d])
-    out.clear[p] = looks.time
+    out.updated[p] = looks.time
 
 
 @njit(**ENTRY)

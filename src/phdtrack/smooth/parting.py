@@ -42,7 +42,7 @@ def parted(tracks: Tracks, paths: Paths, sequence: Sequence) -> Tracks:
         return tracks
     measurements = sequence.measurements
     time = measurements.seconds(sequence.rate)
-    seen = [_seen(paths, k, time) for k in range(len(paths))]
+    seen = [_detected(paths, k, time) for k in range(len(paths))]
     cuts = [
         _cuts(known, each.column, each.time) if len(each.rows) >= FEWEST else _NONE for each in seen
     ]
@@ -65,7 +65,7 @@ def parted(tracks: Tracks, paths: Paths, sequence: Sequence) -> Tracks:
     return replace(tracks, identity=identity).select(kept)
 
 
-class _Seen(NamedTuple):
+class _Detected(NamedTuple):
     """The rows (n,) of a path that have a measurement, these, and their seconds."""
 
     rows: I8
@@ -73,14 +73,14 @@ class _Seen(NamedTuple):
     time: F8
 
 
-def _seen(paths: Paths, k: int, time: F8) -> _Seen:
+def _detected(paths: Paths, k: int, time: F8) -> _Detected:
     """The detections of path k; ``time`` (F,) are the seconds of frames."""
     rows = np.arange(paths.first[k], paths.last[k] + 1)
     rows = rows[paths.measurement[rows] >= 0]
-    return _Seen(rows, paths.measurement[rows], time[paths.frame[rows]])
+    return _Detected(rows, paths.measurement[rows], time[paths.frame[rows]])
 
 
-def _together(seen: list[_Seen], cuts: list[I8], boxes: F8) -> list[I8]:
+def _together(seen: list[_Detected], cuts: list[I8], boxes: F8) -> list[I8]:
     """The cuts, with those of two tracks that were side by side within a second of each other at
     one time: else the end of one and the rest of the other would overlap, and could not be joined.
 
