@@ -24,9 +24,8 @@ def test_importing_the_package_loads_next_to_nothing():
 
 
 def test_public_names_are_listed():
-    assert {"Tracker", "Detections", "Tracks", "InputError", "CameraMotion", "evaluate"} <= set(
-        dir(phdtrack)
-    )
+    names = {"Tracker", "Detections", "Tracks", "InputError", "CameraMotion", "evaluate"}
+    assert names | {"export_tracks", "read_tracks"} <= set(dir(phdtrack))
     with pytest.raises(AttributeError, match="no attribute 'Tracer'"):
         phdtrack.Tracer  # noqa: B018
 

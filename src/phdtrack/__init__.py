@@ -15,6 +15,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from phdtrack.errors import InputError
+    from phdtrack.formats import export_tracks, read_tracks
     from phdtrack.metrics import evaluate
     from phdtrack.tracker import Tracker
     from phdtrack.types import Detections, Tracks
@@ -30,7 +31,18 @@ __getattr__, __dir__ = lazy(
         "Tracker": "phdtrack.tracker",
         "Tracks": "phdtrack.types",
         "evaluate": "phdtrack.metrics",
+        "export_tracks": "phdtrack.formats",
+        "read_tracks": "phdtrack.formats",
     },
 )
 
-__all__ = ["CameraMotion", "Detections", "InputError", "Tracker", "Tracks", "evaluate"]
+__all__ = [
+    "CameraMotion",
+    "Detections",
+    "InputError",
+    "Tracker",
+    "Tracks",
+    "evaluate",
+    "export_tracks",
+    "read_tracks",
+]

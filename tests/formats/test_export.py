@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from format_cases import put, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import phdtrack
 from phdtrack.errors import InputError
 from phdtrack.formats import (
     EXPORTS,
@@ -76,6 +78,66 @@ def test_exported_tracks_are_read_back(
         truth = read_truth(path)
         assert len(truth) == np.count_nonzero(again.confidence)
         assert truth.regions.size == 0
+
+
+# What the format of a suffix holds of tracks, besides boxes. Numbers have seven digits.
+HELD = {
+    ".csv": ("frame", "identity", "confidence", "detection", "confirmed", "class_id"),
+    ".parquet": ("frame", "identity", "confidence", "detection", "confirmed", "class_id"),
+    ".jsonl": ("frame", "identity", "confidence", "detection", "confirmed", "class_id"),
+    ".json": ("frame", "identity", "confidence", "detection", "confirmed", "class_id"),
+    ".txt": ("frame", "identity", "confidence"),
+    ".xml": ("frame", "identity", "class_id"),
+}
+
+
+@pytest.mark.parametrize("suffix", sorted(HELD))
+@settings(max_examples=25, deadline=None)
+@given(original=tracks())
+def test_tracks_in_a_file_of_any_suffix_are_the_same(
+    tmp_path_factory: pytest.TempPathFactory, suffix: str, original: Tracks
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"same{suffix}"
+    phdtrack.export_tracks(path, original)
+    again = phdtrack.read_tracks(path)
+    for name in HELD[suffix]:
+        np.testing.assert_allclose(
+            getattr(again, name), getattr(original, name), rtol=5e-7, atol=0, err_msg=name
+        )
+    # The right side is the sum of two rounded numbers.
+    scale = np.abs(original.xyxy).max(initial=1.0)
+    np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=1.5e-6 * scale)
+
+
+def test_classes_without_names_keep_their_numbers(tmp_path: Path) -> None:
+    boxes = np.array([[1.0, 2, 3, 4]] * 3)
+    rows = Tracks.of(np.array([1, 2, 3]), np.array([1, 2, 3]), boxes, 1.0, -1)
+    rows = rows.with_class(np.array([0, 3, 72]))
+    for name in ("t.xml", "t.csv"):
+        export_tracks(tmp_path / name, rows)
+        assert read_tracks(tmp_path / name).class_id.tolist() == [0, 3, 72]
+    export_tracks(tmp_path / "t.txt", rows, "kitti")
+    assert read_tracks(tmp_path / "t.txt").class_id.tolist() == [0, 3, 72]
+    # Words of others are numbered in alphabetical order.
+    export_tracks(tmp_path / "t.xml", rows, names={0: "object", 3: "class_3", 72: "bus"})
+    again, names = read_tracks_named(tmp_path / "t.xml")
+    assert again.class_id.tolist() == [3, 2, 1]
+    assert names == {1: "bus", 2: "class_3", 3: "object"}
+
+
+@pytest.mark.parametrize("name", ["tracks.mat", "tracks"])
+def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError) as error:
+        export_tracks(tmp_path / name, Tracks.empty())
+    assert set(EXPORTS.values()) == {*re.findall(r"(\.\w+) \(", str(error.value))}
+    assert "kind='motchallenge'" in str(error.value)
+    assert name in str(error.value)
+    assert not (tmp_path / name).exists()
+
+
+def test_suffixes_may_be_in_capitals(tmp_path: Path) -> None:
+    export_tracks(tmp_path / "T.CSV", Tracks.empty())
+    assert (tmp_path / "T.CSV").read_text().startswith("frame,identity,left")
 
 
 def test_cvat_track_gaps_and_images_without_identities(

@@ -18,6 +18,7 @@ import numpy as np
 
 from phdtrack.errors import InputError, did_you_mean, needed
 from phdtrack.files import AnyPath, whole, write_text
+from phdtrack.formats.class_words import word_of_class
 from phdtrack.formats.write import ltwh
 from phdtrack.types import F8, SequenceInfo, Tracks
 
@@ -30,37 +31,45 @@ EXPORTS = {
     "cvat": ".xml",
     "kitti": ".txt",
 }
-"""The formats of `export_tracks`, and the usual endings of their file names."""
+"""The formats of `export_tracks`, and the usual suffixes of their files."""
+
+# The first format of a suffix is the one that it stands for: KITTI's has to be named.
+_BY_SUFFIX = {suffix: kind for kind, suffix in reversed(EXPORTS.items())}
 
 
 def export_tracks(
     path: AnyPath,
     tracks: Tracks,
-    kind: str,
+    kind: str = "",
     names: Mapping[int, str] | None = None,
     info: SequenceInfo | None = None,
 ) -> None:
-    """Write tracks in a format of other tools; replaces an existing file.
+    """Write tracks in a format of other tools; replaces an existing file. `read_tracks` reads it.
 
-    Frames count from 0 in KITTI and CVAT, from 1 elsewhere. MOTChallenge has no classes, CVAT no
-    confidence. CSV, Parquet, JSON lines and COCO have the detection that each row used, and whether
-    the row is confirmed. Raises `InputError` if the file cannot be written, the format is unknown,
-    or pyarrow is missing, which Parquet needs.
+    Frames count from 0 in KITTI and CVAT, from 1 elsewhere. Numbers have seven significant digits.
+    MOTChallenge has no classes, CVAT no confidence. CSV, Parquet, JSON lines and COCO have the
+    detection that each row used, and whether the row is confirmed.
 
     Parameters
     ----------
     path : the file.
     tracks : the rows to write, sorted by frame.
-    kind : one of `EXPORTS`.
+    kind : one of `EXPORTS`; empty: the one of the file's suffix, of ``.txt`` MOTChallenge.
     names : the names of the classes by number.
     info : the sequence, for COCO and CVAT.
+
+    Raises
+    ------
+    InputError : an unknown format or suffix, a file that cannot be written, or no pyarrow, which
+        Parquet needs.
     """
     path = Path(path)
+    kind = kind or _kind_of(path)
     info = info or SequenceInfo(0, 0, 0.0)
     if info.frames:
         info = replace(info, frames=max(info.frames, int(tracks.frame.max(initial=0))))
     words = {
-        k: re.sub(r'[^\S ]|[,;"]', "_", (names or {}).get(k, f"class_{k}" if k else "object"))
+        k: re.sub(r'[^\S ]|[,;"]', "_", (names or {}).get(k, word_of_class(k)))
         for k in np.unique(tracks.class_id).tolist()
     }
     columns = _columns(tracks, words if names else {})
@@ -88,9 +97,22 @@ def export_tracks(
             return
         case _:
             raise InputError(
-                f"there is no format {kind!r}", where="--to", cure=did_you_mean(kind, EXPORTS)
+                f"there is no format {kind!r}", where=path, cure=did_you_mean(kind, EXPORTS)
             )
     write_text(path, "".join(f"{line}\n" for line in lines))
+
+
+def _kind_of(path: Path) -> str:
+    """The format that a suffix stands for. Raises `InputError` if it stands for none."""
+    suffix = path.suffix.lower()
+    if suffix not in _BY_SUFFIX:
+        known = ", ".join(f"{one} ({kind})" for one, kind in sorted(_BY_SUFFIX.items()))
+        raise InputError(
+            f"expected a suffix that stands for a format, got {suffix or 'none'}",
+            where=path,
+            cure=f"Use {known}, or name the format: kind={next(iter(EXPORTS))!r}.",
+        )
+    return _BY_SUFFIX[suffix]
 
 
 def _columns(tracks: Tracks, words: Mapping[int, str]) -> dict[str, list[Any]]:

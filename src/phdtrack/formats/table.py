@@ -18,7 +18,7 @@ centre as well. A Parquet file needs pyarrow, which is imported on use.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -29,6 +29,7 @@ import numpy as np
 from phdtrack.conventions import BY_EVIDENCE, Conventions, report
 from phdtrack.errors import InputError, needed
 from phdtrack.formats.checks import MalformedRows, Origin
+from phdtrack.formats.class_words import words_by_number
 from phdtrack.formats.mot_layout import (
     OTHERS_CATEGORY,
     REGION_CATEGORY,
@@ -289,7 +290,7 @@ def table_of_parquet(source: Source) -> Table:
             if layout.columns[k : k + 1] == [Column.CLASS]:
                 words = cells.to_pylist()
                 if any(isinstance(word, str) for word in words):
-                    names = _names(word for word in words if word is not None)
+                    names = words_by_number(word for word in words if word is not None)
                     number = {word: key for key, word in names.items()}
                     cells = arrow.array([number.get(word) for word in words])
             column = cells.cast(arrow.float64()).fill_null(np.nan)
@@ -427,7 +428,7 @@ def _number_classes(
         kept = np.delete(np.arange(len(rows)), bad).tolist()
         text = text.select(kept)
         rows = [rows[k] for k in kept]
-    names = _names(row[place] for row in rows if len(row) > place)
+    names = words_by_number(row[place] for row in rows if len(row) > place)
     number = {word: str(key) for key, word in names.items()}
     lines = []
     for row in rows:
@@ -436,11 +437,6 @@ def _number_classes(
             cells[place] = number[row[place]]
         lines.append(",".join(cells))
     return replace(text, lines=lines, delimiter=","), names
-
-
-def _names(words: Iterable[str]) -> dict[int, str]:
-    """Number the different words from 1 in alphabetical order."""
-    return dict(enumerate(sorted(set(words)), start=1))
 
 
 def _table(
