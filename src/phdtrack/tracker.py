@@ -13,19 +13,19 @@ import logging
 import math
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
 from phdtrack.associate.history import HISTORY
 from phdtrack.detect.colours import Colours
 from phdtrack.detect.convert import (
+    DetectorOutput,
     DiscardedBoxes,
     as_detections,
     as_embeddings,
@@ -43,11 +43,22 @@ from phdtrack.types import (
     Detections,
     Exchange,
     Image,
+    Matrix,
     Return,
     SequenceInfo,
     Step,
+    SupportsArray,
     Tracks,
 )
+
+if TYPE_CHECKING:
+    from phdtrack.config.section_types import (
+        FilterKind,
+        FilterSection,
+        PresetName,
+        Sections,
+        TrackerSections,
+    )
 
 _LOG = logging.getLogger(__name__)
 # The keys of a saved state.
@@ -77,14 +88,15 @@ class Tracker:
     fps : frames per second, used if `update` gets no timestamp.
     seed : seed of the particle filter's randomness; the same seed and detections give the same
         tracks.
-    filter : ``pmb``, ``gm-phd``, ``particle-phd``, ``gm-cphd``, ``particle-cphd``, ``mht``,
-        ``mcmc``, or ``none`` for the association alone; or the settings of that section.
+    filter : ``pmb``, ``pmbm``, ``gm-phd``, ``particle-phd``, ``gm-cphd``, ``particle-cphd``,
+        ``mht``, ``mcmc``, or ``none`` for the association alone; or the settings of that section.
     preset : a name of `config.presets.PRESETS`; empty for the usual one with this filter.
     settings : a TOML file with settings.
     stages : one's own model, filter, extractor and associator, instead of all of the above but fps
         and seed; `ClassSettings` where classes have stages of their own.
     **sections : settings by section, as ``sensor={"detection_probability": 0.9}``;
         ``classes={"together": [[2, 7]]}`` for a detector's classes, which are tracked apart.
+        `config.section_types.TrackerSections` lists them for type checkers and editors.
 
     Attributes
     ----------
@@ -98,15 +110,15 @@ class Tracker:
 
     def __init__(
         self,
-        frame_size: tuple[int, int] | None = None,
+        frame_size: tuple[int, int] | Sequence[int] | None = None,
         *,
         fps: float = 25.0,
         seed: int = 0,
-        filter: str | Mapping[str, Any] = "",
-        preset: str = "",
+        filter: FilterKind | FilterSection | Literal[""] = "",
+        preset: PresetName | Literal[""] = "",
         settings: str | Path | None = None,
         stages: AnyStages | ClassSettings | None = None,
-        **sections: Mapping[str, Any],
+        **sections: Unpack[TrackerSections],
     ) -> None:
         if not 0 < _number(fps, "Tracker(fps=…)") < math.inf:
             raise InputError(
@@ -123,9 +135,10 @@ class Tracker:
                 cure = "Give frame_size=(width, height)"
                 raise InputError("the size of the images is not known", where="Tracker", cure=cure)
             path = None if settings is None else Path(settings)
+            stated = cast("Sections", {**sections})
             if filter:
-                sections["filter"] = {"kind": filter} if isinstance(filter, str) else filter
-            loaded = config.overlay(config.load(path, preset=preset), sections, "Tracker")
+                stated["filter"] = {"kind": filter} if isinstance(filter, str) else filter
+            loaded = config.overlay(config.load(path, preset=preset), stated, "Tracker")
             self._forgets = "history" not in loaded.given.get("associate", {})
             width, height = _size(frame_size)
             self._frame_size = f"{width}x{height}"
@@ -160,12 +173,12 @@ class Tracker:
 
     def update(
         self,
-        detections: Any,
+        detections: DetectorOutput,
         frame: int | None = None,
         timestamp: float | None = None,
-        warp: ArrayLike | None = None,
-        embeddings: ArrayLike | None = None,
-        image: ArrayLike | None = None,
+        warp: Matrix | None = None,
+        embeddings: Matrix | None = None,
+        image: SupportsArray | None = None,
     ) -> Tracks:
         """Take in one frame's detections; give the online rows that became final, which will not
         change: of this frame, or with an output delay of an earlier one.
@@ -247,7 +260,7 @@ class Tracker:
             return number, _number(timestamp, f"frame {number}, update(timestamp=…)")
         return number, last.time + (number - (last.number or 1)) / self.fps
 
-    def _picture(self, image: ArrayLike, where: str) -> Image:
+    def _picture(self, image: SupportsArray, where: str) -> Image:
         """(H, W, 3) the picture of a frame. Raises `InputError` unless it is one, of the frames'
         size.
         """

@@ -18,12 +18,12 @@ Conventions, stated once:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from phdtrack.errors import needed
 
@@ -37,6 +37,18 @@ I8 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Ints = I8 | int
 Image = NDArray[np.uint8]
+
+
+class SupportsArray(Protocol):
+    """An array of NumPy, or an object that NumPy makes one of, as a tensor on the CPU."""
+
+    def __array__(self) -> NDArray[Any]:
+        """The numbers."""
+
+
+# Numbers as callers give them. NumPy's `ArrayLike` would take a word for an array.
+Vector = SupportsArray | Sequence[float | np.number[Any]]
+Matrix = SupportsArray | Sequence[SupportsArray | Sequence[float | np.number[Any]]]
 STILL: F8 = np.zeros(
     (0, 3)
 )  # stands for a (3, 3) homography between the pixels of two frames: there is none
@@ -112,10 +124,10 @@ class Detections:
     @classmethod
     def of(
         cls,
-        xyxy: ArrayLike,
-        confidence: ArrayLike | None = None,
-        class_id: ArrayLike | None = None,
-        embeddings: ArrayLike | None = None,
+        xyxy: Matrix,
+        confidence: Vector | None = None,
+        class_id: Vector | None = None,
+        embeddings: Matrix | None = None,
     ) -> Detections:
         """Detections of boxes: copies, in the types of this record; values are not checked.
 

@@ -211,7 +211,7 @@ def test_pages_have_something_to_run_and_are_listed() -> None:
     assert all((PAGES / link).is_file() for link in links)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/architecture.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/architecture.md", "docs/api/setting-types.md"])
 def test_programs_of_the_front_pages_run(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     names = {"__name__": "__main__"}

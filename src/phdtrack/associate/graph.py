@@ -825,8 +825,10 @@ class DetectionMatching(GraphMatching):
 
     Parameters
     ----------
-    min_link_gain : as of `GraphMatching`. A raw detection has no known velocity, so that the links
-        of true tracks gain less than those of filtered states.
+    min_link_gain : share of loose_end_distance²/2 that a track's links must gain on average, or it
+        is discarded (offline) or not confirmed (online). A raw detection
+        has no known velocity, so that the links of true tracks gain less than those of filtered
+        states.
     """
 
     min_link_gain: Probability = 0.6

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from phdtrack.config.sections import CameraSettings
 from phdtrack.config.settings import Settings, load, overlay
@@ -21,6 +21,7 @@ from phdtrack.smooth.online import DetectionShare
 from phdtrack.types import SequenceInfo
 
 if TYPE_CHECKING:
+    from phdtrack.config.section_types import Sections
     from phdtrack.devices import Camera
     from phdtrack.groups.group_stages import GroupStages
     from phdtrack.scene import Scene
@@ -51,7 +52,8 @@ def build(
             "the camera's motion is not followed here", where="camera_motion.kind", cure=cure
         )
     if filter_name:
-        settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
+        chosen = cast("Sections", {"filter": {"kind": filter_name}})
+        settings = overlay(settings, chosen, "--filter")
     size = (float(info.width), float(info.height))
     scene = _learned_scene(settings, size)
     model = _model(settings, size, info.fps)
@@ -127,9 +129,8 @@ def ground_model(settings: Settings, info: SequenceInfo) -> Model:
     """The model of people on the ground that the ``camera`` of the settings shows, whatever world
     they are tracked in.
     """
-    ground = overlay(
-        load(None, ("motion.kind=plane",)), {"camera": settings.given.get("camera", {})}
-    )
+    camera = cast("Sections", {"camera": settings.given.get("camera", {})})
+    ground = overlay(load(None, ("motion.kind=plane",)), camera)
     return build(ground, info).model
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
+from typing import TYPE_CHECKING, cast
 
 from phdtrack.config.build import build
 from phdtrack.config.sections import ClassOptions, Label
@@ -11,6 +12,9 @@ from phdtrack.config.settings import Settings, Values, overlay
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.multiclass import ClassSettings
 from phdtrack.types import SequenceInfo
+
+if TYPE_CHECKING:
+    from phdtrack.config.section_types import Sections
 
 # The sections of which a class may have values of its own.
 SECTIONS = (
@@ -71,7 +75,9 @@ def build_classes(
     return ClassSettings(
         build(settings, info, moving=moving),
         {
-            number: build(overlay(settings, values, "classes"), info, moving=moving)
+            number: build(
+                overlay(settings, cast("Sections", values), "classes"), info, moving=moving
+            )
             for number, values in _own_sections(own, first).items()
         },
         first,

@@ -23,7 +23,7 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from phdtrack.config.presets import PRESETS, preset_values, usual_preset
 from phdtrack.config.registry import (
@@ -39,6 +39,9 @@ from phdtrack.config.registry import (
 from phdtrack.config.sections import Nothing, gaussians_at
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import read_toml
+
+if TYPE_CHECKING:
+    from phdtrack.config.section_types import Sections
 
 Values = dict[str, Any]
 # Seconds that a run over a stream remembers. Its corrected rows are final after half a minute and
@@ -192,14 +195,14 @@ def load(
     return settings
 
 
-def overlay(settings: Settings, sections: Mapping[str, Any], where: str = "settings") -> Settings:
+def overlay(settings: Settings, sections: Sections, where: str = "settings") -> Settings:
     """``settings`` with the values of ``sections`` in place of theirs. Raises `InputError` as
     `load`.
 
     Parameters
     ----------
     settings : what is changed.
-    sections : values by section and name.
+    sections : values by section and name, see `section_types`.
     where : who asks, for error messages.
     """
     merged = _replaced(settings, _entries(sections, where))

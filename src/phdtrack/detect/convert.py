@@ -15,17 +15,17 @@ Tensors are copied to the CPU. An empty array of any shape means no boxes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from phdtrack.arrays import share_inside
 from phdtrack.errors import Checked, InputError, PositiveCount
 from phdtrack.kernels.box import plausible_boxes
-from phdtrack.types import F4, F8, I8, Detections, DetectionTable, SequenceInfo
+from phdtrack.types import F4, F8, I8, Detections, DetectionTable, Matrix, SequenceInfo
 
 _COLUMNS = (
     "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and"
@@ -49,6 +49,26 @@ _MAX_SHARE = 1.5
 _MIN_BOXES = 20
 _MIN_BEYOND = 0.5
 _MIN_CORNERS = 0.95
+
+
+class HasBoxes(Protocol):
+    """An object with boxes, as supervision and ultralytics have them."""
+
+    @property
+    def xyxy(self) -> Any:
+        """(N, 4) left, top, right, bottom in pixels."""
+
+
+class HasResult(Protocol):
+    """The result of a detector for one picture, as ultralytics has it."""
+
+    @property
+    def boxes(self) -> Any:
+        """An object with boxes."""
+
+
+DetectorOutput = HasBoxes | HasResult | Matrix | Sequence[HasBoxes | HasResult]
+"""What `as_detections` converts. A `Detections` is an object with boxes."""
 
 
 def as_detections(obj: object, *, where: str = "") -> Detections:

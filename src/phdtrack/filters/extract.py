@@ -131,7 +131,9 @@ class Mixture(_Extraction):
     ----------
     min_weight : components of less mass are not targets; M09's 0.5.
     iterations : EM iterations after the start and after each split.
-    split_weight, merge_iou : as of `KMeans`.
+    split_weight : components of more mass are several targets.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice;
+        1 for never.
     """
 
     min_weight: Positive = 0.5
@@ -202,7 +204,8 @@ class Components(_Extraction):
     min_weight : components of less weight are not targets; Vo and Ma's 0.5.
     repeat : report a component as often as its weight says, rounded, as Vo and Ma do. Joining is
         off then.
-    merge_iou : as of `KMeans`.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice;
+        1 for never.
     """
 
     min_weight: Positive = 0.5

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from phdtrack.errors import InputError, did_you_mean
-from phdtrack.files import read_toml, write_text
+from phdtrack.files import AnyPath, read_toml, write_text
 
 Point = tuple[float, float]
 Anchor = Literal["feet", "centre"]
@@ -133,11 +133,11 @@ def refuse_shares(places: Sequence[Place]) -> None:
             )
 
 
-def read_places(path: Path) -> tuple[Place, ...]:
+def read_places(path: AnyPath) -> tuple[Place, ...]:
     """The lines and zones of a TOML file. Raises `InputError` if it is none, or a place cannot be
     used.
     """
-    places = places_of(read_toml(path), str(path))
+    places = places_of(read_toml(Path(path)), str(path))
     refuse_shares(places)
     return places
 

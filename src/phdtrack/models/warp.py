@@ -17,17 +17,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import warped_slopes, warped_states
-from phdtrack.types import F8, STILL
+from phdtrack.types import F8, STILL, Matrix
 
 # Limits of det A: no camera shrinks or enlarges an image more from one frame to the next.
 _SCALES = (1e-4, 1e4)
 
 
-def as_warp(matrix: ArrayLike, where: str) -> F8:
+def as_warp(matrix: Matrix, where: str) -> F8:
     """The homography (3, 3) with lower right element 1, from a (3, 3) or an affine (2, 3) matrix.
 
     Raises `InputError`, with ``where`` as the source, if it is no such matrix, is not finite,

@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 from phdtrack.config import Settings, load, overlay
 from phdtrack.config.registry import settable
 from phdtrack.run.requests import TrackingRequest
+
+if TYPE_CHECKING:
+    from phdtrack.config.section_types import Sections
 
 
 def chosen_settings(
@@ -41,9 +45,8 @@ def chosen_settings(
     parallel = [
         name for name in ("filter", "extract") if "threads" in settable(name, settings.kind(name))
     ]
-    return overlay(
-        settings, {name: {"threads": tracking.threads} for name in parallel}, "--threads"
-    )
+    stated = {name: {"threads": tracking.threads} for name in parallel}
+    return overlay(settings, cast("Sections", stated), "--threads")
 
 
 def only_classes(text: str) -> list[str]:
