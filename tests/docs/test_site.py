@@ -1,15 +1,29 @@
-"""The site: every page is in it, and its figures are those of the results."""
+"""The site: every page is in it, its figures are those of the results, and the API reference has
+what the pages use.
+"""
 
+import inspect
+import json
 import re
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
+from pkgutil import resolve_name
+from types import ModuleType
 
 import pytest
 
 from browsers import needs_browser
+from phdtrack.config.registry import SECTIONS, settable
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
+DIRECTIVE = re.compile(r"^::: (\S+)$", re.MULTILINE)
+PROGRAM = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+# A comment may show what a program would import.
+IMPORT = re.compile(
+    r"^(?:# )?[ ]*from (phdtrack[\w.]*) import (?:\(([^)]*)\)|([^\n]*))", re.MULTILINE
+)
 
 
 def test_navigation_lists_every_page():
@@ -18,6 +32,62 @@ def test_navigation_lists_every_page():
     there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     results = {name for name in there if name.startswith("results/")}
     assert named == there - results | {"index.md", "results/*.md"}
+
+
+def names_in_reference() -> Iterator[str]:
+    """The names on the pages of the API: of a module those in `__all__`, or the public ones that it
+    defines.
+    """
+    for page in (DOCS / "api").glob("*.md"):
+        for name in DIRECTIVE.findall(page.read_text(encoding="utf-8")):
+            yield name
+            part = resolve_name(name)
+            if not isinstance(part, ModuleType):
+                continue
+            defined = [
+                member
+                for member, value in vars(part).items()
+                if not member.startswith("_") and getattr(value, "__module__", "") == name
+            ]
+            yield from (f"{name}.{member}" for member in getattr(part, "__all__", defined))
+
+
+def programs() -> Iterator[tuple[Path, str]]:
+    """The programs on pages and in notebooks."""
+    for page in [ROOT / "README.md", *DOCS.rglob("*.md")]:
+        for program in PROGRAM.findall(page.read_text(encoding="utf-8")):
+            yield page, program
+    for notebook in DOCS.rglob("*.ipynb"):
+        for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+            if cell["cell_type"] == "code":
+                yield notebook, "".join(cell["source"])
+
+
+def test_reference_has_every_name_that_the_pages_import():
+    known = {id(resolve_name(name)) for name in names_in_reference()}
+    imported = {
+        (page.name, f"{match[1]}.{name.split(' as ')[0].strip()}")
+        for page, program in programs()
+        for match in IMPORT.finditer(program)
+        for name in (match[2] or match[3]).split(",")
+        if name.strip()
+    }
+    assert len(imported) > 40
+    missing = [(page, name) for page, name in imported if id(resolve_name(name)) not in known]
+    assert missing == []
+
+
+def test_reference_has_every_public_name():
+    """The names of the package, and of the packages that are on its pages."""
+    known = set(names_in_reference())
+    objects = {id(resolve_name(name)) for name in known}
+    phdtrack = resolve_name("phdtrack")
+    assert [name for name in phdtrack.__all__ if id(getattr(phdtrack, name)) not in objects] == []
+    for path in (ROOT / "src" / "phdtrack").glob("*/__init__.py"):
+        package = resolve_name(f"phdtrack.{path.parent.name}")
+        # A list of names is an interface; saved states and checks are behind the tracker's.
+        if "__all__" in vars(package) and path.parent.name not in ("state", "input_checks"):
+            assert package.__name__ in known, package
 
 
 def test_methods_show_implemented_equations():
@@ -118,13 +188,42 @@ def test_site_builds_without_a_network(site: Path):
 
 
 @pytest.mark.slow
+def test_reference_and_search_have_names_and_settings(site: Path):
+    pages = [page.read_text(encoding="utf-8") for page in (site / "api").glob("*.html")]
+    anchors = {name for page in pages for name in re.findall(r'id="(phdtrack[\w.]*)"', page)}
+    hidden = {
+        name
+        for name in names_in_reference()
+        if inspect.isclass(resolve_name(name)) or inspect.isfunction(resolve_name(name))
+    }
+    assert hidden - anchors == set()
+    index = (site / "search" / "search_index.js").read_text(encoding="utf-8")
+    entries = json.loads(index[index.index("{") : index.rindex("}") + 1])["docs"]
+    found = " ".join(one["text"] for one in entries if one["location"].startswith("api/settings"))
+    names = {
+        name
+        for section in SECTIONS
+        for kind in SECTIONS[section]
+        for name in settable(section, kind)
+    }
+    assert {name for name in names if f">{name}<" not in found} == set()
+
+
+@pytest.mark.slow
 @needs_browser
-def test_search_works_in_files(browser, site: Path):
+@pytest.mark.parametrize(
+    ("words", "expected"), [("homography", "cameras"), ("output_delay", "output_delay")]
+)
+def test_search_works_in_files(browser, site: Path, words: str, expected: str):
     page = browser.new_page()
     page.goto((site / "how-to" / "live.html").as_uri())
     page.locator(".md-search__input").click()
     page.get_by_text("Type to start searching").wait_for()
-    page.locator(".md-search__input").press_sequentially("homography")
+    page.locator(".md-search__input").press_sequentially(words)
     page.locator(".md-search-result__item").first.wait_for()
-    assert "cameras" in page.locator(".md-search-result__item").first.inner_text()
+    results = page.locator(".md-search-result__item").all_inner_texts()
+    assert expected in results[0]
+    if words == "output_delay":
+        links = page.locator(".md-search-result__link").evaluate_all("all => all.map(a => a.href)")
+        assert any("/api/setting" in link for link in links), links
     page.close()
