@@ -86,15 +86,21 @@ class Docstrings(griffe.Extension):
         lines = obj.docstring.value.replace("``", "`").split("\n")
         out = list[str]()
         section = ""
+        in_prose = False
         for k, line in enumerate(lines):
             if k + 1 < len(lines) and set(lines[k + 1].strip()) == {"-"}:
                 section = line.strip()
             entry = self.ENTRY.match(line) if section in self.SECTIONS else None
+            type_ = ""
+            if section in ("Returns", "Yields"):
+                type_ = str(getattr(obj, "returns", None) or "")
+            begins = type_ and k and set(lines[k - 1].strip()) == {"-"}
+            in_prose = bool(line) and not entry and bool(begins or in_prose)
             if entry:
-                type_ = ""
-                if section in ("Returns", "Yields"):
-                    type_ = str(getattr(obj, "returns", None) or "")
                 out += [f"{entry[1]} : {type_}" if type_ else entry[1], f"    {entry[2]}"]
+            elif in_prose:
+                # A sentence without a name: the type is that of the signature.
+                out += [*([type_] if begins else []), f"    {line}"]
             else:
                 out.append(line)
         obj.docstring.value = "\n".join(out)

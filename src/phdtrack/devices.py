@@ -14,6 +14,11 @@ class Camera(Protocol):
 
     A ray that does not meet the ground in front of the camera, and a point that no pixel shows,
     give columns of NaN. They never raise an error.
+
+    Parameters
+    ----------
+    pixel : (2, N) pixels.
+    world : (3, N) points in metres, or (2, N) those on the ground.
     """
 
     def ground(self, pixel: F8) -> F8:
@@ -32,7 +37,12 @@ class Camera(Protocol):
 
 
 class Picture(Protocol):
-    """A picture as a decoder gives it, converted when it is needed."""
+    """A picture as a decoder gives it, converted when it is needed.
+
+    Parameters
+    ----------
+    size : width and height in pixels; None: the picture's own.
+    """
 
     @property
     def size(self) -> tuple[int, int]:

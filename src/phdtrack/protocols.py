@@ -42,7 +42,15 @@ from phdtrack.types import (
 
 
 class Motion(Protocol):
-    """f(x|ξ) and p_S: how targets move and survive."""
+    """f(x|ξ) and p_S: how targets move and survive.
+
+    Parameters
+    ----------
+    x : (d, L) states.
+    dt : interval in the model's time unit.
+    seconds : the same interval in seconds.
+    warp : (3, 3) homography from the pixels of the frame before to those of this one.
+    """
 
     @property
     def dim(self) -> int:
@@ -77,7 +85,15 @@ class Motion(Protocol):
 
 
 class Sensor(Protocol):
-    """g(z|x) and p_D: what is measured of a target, and how often it is detected."""
+    """g(z|x) and p_D: what is measured of a target, and how often it is detected.
+
+    Parameters
+    ----------
+    x, targets : (d, L) or (d, n) states.
+    z : (m, N) measurements, pixels or metres.
+    detections : of a frame, boxes in pixels.
+    predicted : (r, …) measurements without noise.
+    """
 
     @property
     def observed(self) -> tuple[int, ...]:
@@ -194,7 +210,12 @@ class Birth(Protocol):
 
 
 class Clutter(Protocol):
-    """κ(z): where and how often the detector reports what is not a target."""
+    """κ(z): where and how often the detector reports what is not a target.
+
+    Parameters
+    ----------
+    z : (m, N) measurements.
+    """
 
     def intensity(self, z: F8) -> F8:
         """(N,) expected clutter points per frame and unit of measurement volume at ``z`` (m, N)."""
@@ -219,6 +240,10 @@ class Model:
 
     ``appearance``: what the measurements of the frame look like, and what that is worth; None where
     nothing is known.
+
+    Attributes
+    ----------
+    motion, sensor, birth, clutter : the four parts.
     """
 
     motion: Motion
@@ -235,6 +260,10 @@ class Model:
     def birth_seconds(self, dt: float) -> float:
         """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last
         second.
+
+        Parameters
+        ----------
+        dt : interval in the model's time unit.
         """
         seconds = max(dt / (self.rate * self.pace), self.births_before)
         if seconds <= 1.0:
@@ -243,7 +272,12 @@ class Model:
         return 1.0 + (math.exp(-leaving) - math.exp(-leaving * seconds)) / leaving
 
     def survival(self, dt: float) -> float:
-        """The probability that a target is still there after ``dt`` by the clock."""
+        """The probability that a target is still there after ``dt`` by the clock.
+
+        Parameters
+        ----------
+        dt : interval in the model's time unit.
+        """
         return math.exp(-self._leaving * dt / (self.rate * self.pace))
 
     @property
@@ -252,7 +286,12 @@ class Model:
         return max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)
 
     def warp_states(self, x: F8) -> F8:
-        """(d, L) states of the frame before, in the pixels of this one."""
+        """(d, L) states of the frame before, in the pixels of this one.
+
+        Parameters
+        ----------
+        x : (d, L) states.
+        """
         if len(self.warp):
             return self.motion.warp_states(x, self.warp)
         return x
@@ -260,6 +299,10 @@ class Model:
     def warp_gaussians(self, mean: F8, covariance: F8) -> tuple[F8, F8]:
         """Gaussians (d, L), (L, d, d) of the frame before, in the pixels of this one: to first
         order, J P Jᵀ.
+
+        Parameters
+        ----------
+        mean, covariance : (d, L) and (L, d, d) of each Gaussian.
         """
         if len(self.warp) == 0:
             return mean, covariance
@@ -336,7 +379,13 @@ C = TypeVar("C")
 
 
 class Associator(Protocol[A]):
-    """From states to identities."""
+    """From states to identities.
+
+    Parameters
+    ----------
+    state : after the last frame.
+    model : of that frame.
+    """
 
     def start(self) -> A:
         """The state before the first frame."""
@@ -444,7 +493,13 @@ class Explainer(Protocol[C]):
 
 
 class CameraEstimator(Protocol[C]):
-    """Estimates the camera's motion from the detections of a frame."""
+    """Estimates the camera's motion from the detections of a frame.
+
+    Parameters
+    ----------
+    state : of `with_targets`: the one that `between` gave.
+    estimates : states of targets, in this frame's pixels.
+    """
 
     def start(self) -> C:
         """The state before the first frame."""
@@ -466,7 +521,14 @@ class CameraEstimator(Protocol[C]):
 
 
 class Learning(Protocol[C]):
-    """Learning while tracking."""
+    """Learning while tracking.
+
+    Parameters
+    ----------
+    state : what was learned up to the frame before.
+    model : of this frame.
+    step : everything that the frame brought.
+    """
 
     def start(self) -> C:
         """The state before the first frame."""
@@ -491,7 +553,12 @@ class Learning(Protocol[C]):
 
 
 class AppearanceModel(Protocol[C]):
-    """The worth of what boxes look like, learned while tracking."""
+    """The worth of what boxes look like, learned while tracking.
+
+    Parameters
+    ----------
+    state : what was learned up to the frame before.
+    """
 
     def start(self) -> C:
         """The state before the first frame."""
@@ -518,7 +585,13 @@ class AppearanceModel(Protocol[C]):
 
 
 class OnlineBoxes(Protocol):
-    """From online rows to the boxes that are shown."""
+    """From online rows to the boxes that are shown.
+
+    Parameters
+    ----------
+    state : after the last frame.
+    tracks : online rows, boxes in pixels.
+    """
 
     def start(self) -> Any:
         """The state before the first frame."""
@@ -553,6 +626,9 @@ class Stages(Generic[S, A]):
 
     Attributes
     ----------
+    model : of the world.
+    filter, extractor, associator : from measurements to states, to estimates of targets, to
+        identities.
     detection_scores : what scores say, learned while tracking.
     explainer : the merged-measurement model.
     smoother : of corrected tracks.      online : boxes of online rows.

@@ -155,7 +155,12 @@ class Detections:
         return len(self.xyxy)
 
     def select(self, index: I8 | Bool) -> Detections:
-        """The detections at ``index`` (integers or a mask), in that order."""
+        """The detections at ``index`` (integers or a mask), in that order.
+
+        Parameters
+        ----------
+        index : (K,) integers, or (N,) a mask.
+        """
         cov = None if self.covariance is None else self.covariance[index]
         look = None if self.embeddings is None else self.embeddings[index]
         return Detections(
@@ -712,8 +717,10 @@ class Tracks:
 
         Parameters
         ----------
-        frame, identity, xyxy, detection, confirmed : as above.
-        confidence : more than 1 counts as 1.
+        frame, identity, detection : (M,) as above, or one for all.
+        xyxy : (M, 4) pixels.
+        confidence : (M,) or one for all; more than 1 counts as 1.
+        confirmed : (M,) as above, or one for all.
         """
         n = len(xyxy)
         return cls(
@@ -727,7 +734,12 @@ class Tracks:
 
     @classmethod
     def concatenate(cls, parts: list[Tracks]) -> Tracks:
-        """All rows, sorted by frame, then identity."""
+        """All rows, sorted by frame, then identity.
+
+        Parameters
+        ----------
+        parts : rows of any frames, none twice.
+        """
         parts = parts or [cls.empty()]
         columns = [
             np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__
@@ -739,7 +751,12 @@ class Tracks:
         return len(self.frame)
 
     def select(self, index: I8 | Bool) -> Tracks:
-        """The rows at ``index`` (integers or a mask), in that order."""
+        """The rows at ``index`` (integers or a mask), in that order.
+
+        Parameters
+        ----------
+        index : (K,) integers, or (M,) a mask.
+        """
         return Tracks(*(getattr(self, name)[index] for name in self.__slots__))
 
     def __getitem__(self, index: int | slice | I8 | Bool) -> Tracks:

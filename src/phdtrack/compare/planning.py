@@ -23,6 +23,14 @@ def plan(request: Request) -> Plan:
     """The plan of `phdtrack compare`, with every input opened and every setting checked.
 
     Raises `InputError` for anything that cannot be read, or is inconsistent.
+
+    Parameters
+    ----------
+    request : what to compare.
+
+    Returns
+    -------
+    The plan for `run`.
     """
     if not request.sequences:
         raise InputError(

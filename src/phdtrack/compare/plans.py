@@ -113,6 +113,14 @@ class Run:
 class Plan:
     """Every combination of case, rate of clutter, method and seed; all methods are compared with
     the first.
+
+    Attributes
+    ----------
+    cases : sequences with their detections.
+    methods : how they are tracked; the first is compared with the others.
+    rates : false alarms per frame that are mixed in.
+    seeds : of all random draws.
+    iou : the overlap from which a pair of boxes may match, in (0, 1].
     """
 
     cases: tuple[Case, ...]

@@ -122,6 +122,7 @@ class Comparison:
 
     Attributes
     ----------
+    plan, folder : what was run, and where results are kept.
     results : by `Run.place`, of the runs that were needed: where nothing is random, the first seed
         stands for all.
     reused : runs that were there already.
@@ -136,7 +137,12 @@ class Comparison:
     outdated: list[str] = field(default_factory=list)
 
     def result(self, run: Run) -> ComparedRun | Failed:
-        """The result of a run, or of the one that stands for it."""
+        """The result of a run, or of the one that stands for it.
+
+        Parameters
+        ----------
+        run : one of the plan's.
+        """
         found = self.results.get(run.place)
         if found is None:
             return self.results[replace(run, seed=self.plan.seeds[0]).place]
@@ -196,6 +202,10 @@ def run(
         __name__ == "__main__"``.
     anew : whether to run everything again.
     advance : is called with the number of `steps` that are done.
+
+    Returns
+    -------
+    The results of all runs, new and kept.
     """
     write_text(probe := folder / ".probe", "")
     probe.unlink()
@@ -268,7 +278,16 @@ def _documents(
 
 
 def steps(plan: Plan) -> int:
-    """The last number that `run` gives to ``advance``: videos looked at, and runs."""
+    """The last number that `run` gives to ``advance``: videos looked at, and runs.
+
+    Parameters
+    ----------
+    plan : what to run.
+
+    Returns
+    -------
+    A number of steps.
+    """
     return sum(case.looked_at for case in plan.cases) + len(plan.runs)
 
 

@@ -101,6 +101,11 @@ class Row:
         random, if they differ at all.
 
         The time ``ms`` varies between runs, so single runs never differ in it.
+
+        Parameters
+        ----------
+        other : another method's row of the same case.
+        name : of the score.
         """
         difference = interval(
             [mine[name] - theirs[name] for mine, theirs in zip(self.each, other.each, strict=True)]
@@ -113,6 +118,14 @@ class Row:
 def summary(comparison: Comparison) -> tuple[Row, ...]:
     """Rows for each case, then pooled over the sequences of each set of detections, then pooled
     over all cases.
+
+    Parameters
+    ----------
+    comparison : the result of `run`.
+
+    Returns
+    -------
+    The rows: means over the seeds, with confidence intervals where there are several.
     """
     cases = comparison.plan.cases
     groups: list[tuple[str, str, Sequence[Case]]] = [
@@ -126,7 +139,16 @@ def summary(comparison: Comparison) -> tuple[Row, ...]:
 
 
 def widest(rows: Sequence[Row]) -> list[Row]:
-    """The rows that pool the most."""
+    """The rows that pool the most.
+
+    Parameters
+    ----------
+    rows : of a `summary`.
+
+    Returns
+    -------
+    Those of the most cases.
+    """
     most = max(row.cases for row in rows)
     return [row for row in rows if row.cases == most]
 
@@ -202,7 +224,16 @@ def _intervals(each: Sequence[Mapping[str, float]], random: bool) -> dict[str, I
 
 
 def check_scores(names: Sequence[str]) -> tuple[str, ...]:
-    """The ``names`` of scores in their usual case. Raises `InputError` for an unknown one."""
+    """The ``names`` of scores in their usual case. Raises `InputError` for an unknown one.
+
+    Parameters
+    ----------
+    names : of scores, in any case.
+
+    Returns
+    -------
+    The names as they are written, in the same order.
+    """
     known = {name.lower(): name for name in (*SCORES, *OTHERS)}
     for name in names:
         if name.lower() not in known:

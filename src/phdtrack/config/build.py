@@ -45,6 +45,10 @@ def build(
     info : width and height of the frames in pixels, frames per second.
     filter_name : a filter in place of ``filter.kind``; empty for that one.
     moving : whether the caller compensates the camera's motion.
+
+    Returns
+    -------
+    The model of the world, filter, extractor, associator and the optional stages.
     """
     if not moving and settings.kind("camera_motion") != "none":
         cure = "Use phdtrack track --camera-motion, or Tracker.update(warp=…)"
@@ -107,6 +111,15 @@ def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupSt
     0.84 of the weight (1 − p_D) p_S of a person just missed once, at E13's 7 frames a second, so
     that one miss drops no person whatever the detection probability. With E13's values that is the
     default.
+
+    Parameters
+    ----------
+    settings : checked settings.
+    stages : of the filter before them; None for known positions.
+
+    Returns
+    -------
+    The stages.
     """
     from phdtrack.groups.clusters import Grouping
     from phdtrack.groups.group_stages import GroupStages
@@ -128,6 +141,15 @@ def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupSt
 def ground_model(settings: Settings, info: SequenceInfo) -> Model:
     """The model of people on the ground that the ``camera`` of the settings shows, whatever world
     they are tracked in.
+
+    Parameters
+    ----------
+    settings : checked settings, with the camera in ``camera``.
+    info : size of the frames in pixels, and their rate.
+
+    Returns
+    -------
+    The model, positions in metres.
     """
     camera = cast("Sections", {"camera": settings.given.get("camera", {})})
     ground = overlay(load(None, ("motion.kind=plane",)), camera)

@@ -50,6 +50,10 @@ def build_classes(
     names : the detector's names of the classes, if it has any; before ``classes.names``.
     present : the classes that occur; None if this is not known beforehand.
     moving : as for `build`.
+
+    Returns
+    -------
+    The stages of every class, and what holds for all of them.
     """
     options: ClassOptions = settings.build("classes")
     known = dict(enumerate(options.names)) | dict(names or {})

@@ -85,6 +85,10 @@ class Settings:
     def kind(self, section: str) -> str:
         """The kind of a section: the user's, or the preset's. Another filter than the preset's
         brings its own extraction and association.
+
+        Parameters
+        ----------
+        section : one of `registry.SECTIONS`.
         """
         stated = self.given.get(section, {}).get("kind")
         if stated is not None:
@@ -101,6 +105,10 @@ class Settings:
     def values(self, section: str) -> Values:
         """The values that the preset and the user state of a section, without its kind. Detectors
         and networks check their settings themselves.
+
+        Parameters
+        ----------
+        section : one of `registry.SECTIONS`.
         """
         given = self.given.get(section, {})
         if section in _CHECKED_BY_PART:
@@ -118,6 +126,11 @@ class Settings:
     def build(self, section: str, **more: Any) -> Any:
         """The object that a section makes; of ``more``, which depends on the sequence, it takes the
         fields that its class has.
+
+        Parameters
+        ----------
+        section : one of `registry.SECTIONS`.
+        **more : values of fields that come from the sequence.
         """
         chosen = record(section, self.kind(section))
         if chosen is Nothing:
@@ -176,6 +189,10 @@ def load(
     preset : name of the preset; empty for the file's, or the usual one (`presets.USUAL`).
     filter_name : the filter, as ``--filter`` names it; empty for the preset's or the file's.
     detector : the detector that makes the boxes; empty for those of a file or a caller.
+
+    Returns
+    -------
+    The checked settings.
     """
     document, where = ({}, "configuration") if path is None else (read_toml(path), str(path))
     stated = document.pop("preset", "")
@@ -204,6 +221,10 @@ def overlay(settings: Settings, sections: Sections, where: str = "settings") -> 
     settings : what is changed.
     sections : values by section and name, see `section_types`.
     where : who asks, for error messages.
+
+    Returns
+    -------
+    The checked settings; the given ones are unchanged.
     """
     merged = _replaced(settings, _entries(sections, where))
     _check(merged, where)
@@ -213,6 +234,15 @@ def overlay(settings: Settings, sections: Sections, where: str = "settings") -> 
 def for_run(settings: Settings, *, endless: bool) -> Settings:
     """The settings of a whole run: all of a file is remembered, and of a stream without end as much
     as its final rows need, unless the user states ``associate.history``.
+
+    Parameters
+    ----------
+    settings : checked settings.
+    endless : whether the source is a stream without end.
+
+    Returns
+    -------
+    The settings with ``associate.history``.
     """
     if "history" in settings.given.get("associate", {}):
         return settings

@@ -19,7 +19,12 @@ from phdtrack.types import F4, F8, STILL, Detections, Frame, Image
 
 
 class Detector(Protocol):
-    """Turns a frame into detections. A detector that learns the scene keeps it inside."""
+    """Turns a frame into detections. A detector that learns the scene keeps it inside.
+
+    Parameters
+    ----------
+    frame : a picture of the sequence, with its number and time in seconds.
+    """
 
     def __call__(self, frame: Frame) -> Detections:
         """The boxes found in the frame, in its own pixel coordinates."""
@@ -48,7 +53,12 @@ class Describer(Protocol):
 
 @runtime_checkable
 class WrapsDetector(Protocol):
-    """A detector that changes the frames or the boxes of another one."""
+    """A detector that changes the frames or the boxes of another one.
+
+    Parameters
+    ----------
+    frame : what this detector gets.
+    """
 
     @property
     def detector(self) -> Detector:
@@ -70,7 +80,12 @@ class StudiesScene(Protocol):
         """True if the scene was learned from samples of a file."""
 
     def study(self, samples: Iterable[Frame]) -> None:
-        """Learn the scene from an odd number of at least 7 frames, in order."""
+        """Learn the scene from an odd number of at least 7 frames, in order.
+
+        Parameters
+        ----------
+        samples : the frames, as they are decoded.
+        """
 
     def scene_warnings(self) -> tuple[str, ...]:
         """Sentences about properties of the scene that make the boxes unreliable."""
@@ -93,7 +108,12 @@ class KeepsKnowledge(Protocol):
         """Everything learned from frames, as `state.to_bytes` takes it; None if inaccessible."""
 
     def restore(self, knowledge: dict[str, Any]) -> None:
-        """Continue with the knowledge of a detector with the same settings."""
+        """Continue with the knowledge of a detector with the same settings.
+
+        Parameters
+        ----------
+        knowledge : what `knowledge` gave.
+        """
 
 
 @runtime_checkable
@@ -122,7 +142,12 @@ class DetectsBatches(Protocol):
         """Frames per call."""
 
     def detect_batch(self, frames: Sequence[Frame]) -> list[Detections]:
-        """The detections of each frame."""
+        """The detections of each frame.
+
+        Parameters
+        ----------
+        frames : at most `batch_size` frames, in order.
+        """
 
 
 @runtime_checkable
@@ -130,7 +155,13 @@ class ReadsPlanes(Protocol):
     """Reads the YUV planes of a decoded picture instead of its BGR image."""
 
     def prepare(self, frame: Frame, size: tuple[int, int]) -> None:
-        """Convert the picture to planes of this width and height now."""
+        """Convert the picture to planes of this width and height now.
+
+        Parameters
+        ----------
+        frame : whose picture is a `devices.Picture`.
+        size : width and height in pixels.
+        """
 
 
 def unwrapped(detector: Detector) -> Detector:

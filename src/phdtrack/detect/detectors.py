@@ -55,7 +55,20 @@ def working_width(name: str, given: int | None, info: SequenceInfo) -> int:
 
 
 def detector_parameters(name: str) -> dict[str, Any]:
-    """The parameters of detector ``name`` and their defaults, including those of the clean-up."""
+    """The parameters of detector ``name`` and their defaults, including those of the clean-up.
+
+    Parameters
+    ----------
+    name : one of `DETECTORS`, or ``onnx:`` and the file of a network.
+
+    Returns
+    -------
+    Values by name.
+
+    Raises
+    ------
+    InputError : there is no such detector.
+    """
     if name.startswith(_NETWORK):
         return {field.name: field.default for field in fields(OnnxDetector) if field.name != "file"}
     if name not in DETECTORS:

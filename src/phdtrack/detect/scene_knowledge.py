@@ -103,6 +103,14 @@ def knowledge(detector: Detector) -> dict[str, Any] | None:
     """Everything a detector has learned from frames, as `state.to_bytes` takes it, for `restore`.
 
     Empty for detectors that learn nothing; None if the knowledge is inaccessible.
+
+    Parameters
+    ----------
+    detector : one that has seen frames.
+
+    Returns
+    -------
+    Values by name; empty or None as above.
     """
     inner = unwrapped(detector)
     if isinstance(inner, KeepsKnowledge):

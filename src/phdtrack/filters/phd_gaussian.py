@@ -124,7 +124,8 @@ class GMPHD(GaussianSettings, Filter[GaussianMixture]):
 
         Parameters
         ----------
-        state, z, model, dt, rng : as in `update`.
+        state, model, dt, rng : as in `update`.
+        z : (m, N) measurements.
         """
         frame = self._frame(_rows_of(state), z, model, dt)
         t = terms_of(*frame)

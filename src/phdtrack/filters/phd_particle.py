@@ -115,7 +115,8 @@ class ParticlePHD(ParticleSettings, Filter[Intensity]):
 
         Parameters
         ----------
-        state, z, model, dt, rng : as in `update`.
+        state, model, dt, rng : as in `update`.
+        z : (m, N) measurements.
         """
         # Likelihoods g(z|x) and p_D of the predicted particles
         numbers = model.sensor.particle_model(z)

@@ -67,6 +67,10 @@ def read_detections(
     left_out : counts malformed rows, which are then skipped; None: the first one is an error.
     conventions : what goes before the evidence of the content.
     notices : receives sentences about guesses; None: they are logged.
+
+    Returns
+    -------
+    The detections, boxes in pixels, frames from 1.
     """
     path = Path(path)
     conventions = conventions.starting_at(first_frame)
@@ -155,6 +159,10 @@ def read_tracks(
     kitti : the type of objects to read from a KITTI file, for example Car.
     conventions : what goes before the evidence of the content.
     notices : receives sentences about guesses; None: they are logged.
+
+    Returns
+    -------
+    The tracks, boxes in pixels, frames from 1.
     """
     conventions = conventions.starting_at(first_frame)
     table = table_of(Path(path), Kind.TRACKS, conventions, kitti, notices=notices)
@@ -174,6 +182,10 @@ def read_tracks_named(
     path : the file.
     conventions : what goes before the evidence of the content.
     notices : receives sentences about guesses; None: they are logged.
+
+    Returns
+    -------
+    The tracks, boxes in pixels, and names by the number of the class.
     """
     table = table_of(Path(path), Kind.TRACKS, conventions, notices=notices)
     return _tracks_of(table, notices), table.names

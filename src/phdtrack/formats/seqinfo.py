@@ -20,6 +20,14 @@ def find_seqinfo(path: AnyPath) -> SequenceInfo | None:
 
     Searches for ``seqinfo.ini`` beside the file and one folder up (``seq/det/det.txt``); None if
     there is none. Raises `InputError` if the file found is malformed.
+
+    Parameters
+    ----------
+    path : a file of detections or truth, or a folder.
+
+    Returns
+    -------
+    Size in pixels, rate in Hz, number of frames and name.
     """
     path = Path(path).absolute()
     folder = path if path.is_dir() else path.parent
@@ -35,6 +43,14 @@ def read_seqinfo(path: AnyPath) -> SequenceInfo:
 
     Raises `InputError` if there is no such file, it is malformed, or size or frame rate are missing
     or not above 0.
+
+    Parameters
+    ----------
+    path : ``seqinfo.ini``, or the folder that holds it.
+
+    Returns
+    -------
+    The description.
     """
     path = Path(path)
     if path.is_dir():

@@ -64,6 +64,10 @@ def read_truth(
     kitti : the type of objects to score in a KITTI label file, for example Car.
     conventions : what goes before the evidence of the content.
     notices : receives sentences about guesses; None: they are logged.
+
+    Returns
+    -------
+    The annotated objects, boxes in pixels, frames from 1.
     """
     path = Path(path)
     conventions = conventions.starting_at(first_frame)
@@ -95,6 +99,10 @@ def read_truth_by_class(
     path : the file.
     conventions : what goes before the evidence of the content.
     notices : receives sentences about guesses; None: they are logged.
+
+    Returns
+    -------
+    The objects of each class, by its name or number.
     """
     path = Path(path)
     tracks = table_of(path, Kind.TRACKS, conventions, notices=[])
@@ -165,6 +173,15 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
     """The ``truth`` with the distractors and regions of a list of what to ignore.
 
     Raises `InputError` if the list is missing or malformed; the message names the line.
+
+    Parameters
+    ----------
+    truth : annotated objects, boxes in pixels.
+    path : the list: MOTChallenge rows of what does not count.
+
+    Returns
+    -------
+    The rows of both.
     """
     path = Path(path)
     text = _ignore_list(scan(path, load(path)))

@@ -49,6 +49,14 @@ def read_warps(path: AnyPath) -> Warps:
 
     Raises `InputError` if the file cannot be read, a line has other than 7 or 10 numbers, a frame
     number is invalid or repeated, or a matrix cannot be the motion of a camera.
+
+    Parameters
+    ----------
+    path : a row per frame, ``frame,g11,g12,g13,g21,g22,g23[,g31,g32,g33]``.
+
+    Returns
+    -------
+    The maps by frame, from pixels of the frame before to pixels of this one.
     """
     origin, values = read_columns(path, _COLUMNS, (7, 10))
     number = values[:, 0]
@@ -67,6 +75,10 @@ def read_warps(path: AnyPath) -> Warps:
 class WarpsWriter(Lines):
     """Writes the motion of a camera frame by frame. Raises `InputError` if the file cannot be
     written.
+
+    Parameters
+    ----------
+    path : the file; an existing one is replaced.
     """
 
     def __init__(self, path: AnyPath) -> None:
@@ -74,5 +86,11 @@ class WarpsWriter(Lines):
         self.write(",".join(_COLUMNS))
 
     def append(self, frame: int, warp: F8) -> None:
-        """Write the matrix (3, 3) that maps pixels of the previous frame to frame ``frame``."""
+        """Write the matrix (3, 3) that maps pixels of the previous frame to frame ``frame``.
+
+        Parameters
+        ----------
+        frame : number of the frame, from 1.
+        warp : (3, 3) homography, pixels.
+        """
         self.write("%d" + ",%.12g" * 9, np.array([frame]), warp.reshape(1, 9))

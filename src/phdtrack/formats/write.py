@@ -143,6 +143,11 @@ class TracksWriter(_ClassWriter):
     def append(self, tracks: Tracks, place: F8 | None = None) -> None:
         """Write the rows of one or more frames in the given order; ``place`` (2, M) is their
         position on the ground in metres, NaN if unknown.
+
+        Parameters
+        ----------
+        tracks : boxes in pixels, frames from 1.
+        place : (2, M) metres; None: not known.
         """
         if place is None:
             place = np.full((2, len(tracks)), np.nan)
@@ -170,6 +175,11 @@ class DetectionsWriter(_ClassWriter):
     def append(self, frame: int | I8, detections: Detections) -> None:
         """Write the detections of frame ``frame``, from 1, or of many frames (N,). Either all calls
         have covariances, or none has.
+
+        Parameters
+        ----------
+        frame : number of the frame from 1, or (N,) of each detection.
+        detections : boxes in pixels.
         """
         columns: list[F8 | I8 | NDArray[np.str_]] = [
             np.broadcast_to(frame, len(detections)),
@@ -192,7 +202,12 @@ class StatesWriter(Lines):
     _header = ""
 
     def append(self, step: Step) -> None:
-        """Write the states of a frame."""
+        """Write the states of a frame.
+
+        Parameters
+        ----------
+        step : everything that the frame brought.
+        """
         dim, n = step.estimates.state.shape
         estimates = step.estimates
         if not self._header:
@@ -229,6 +244,11 @@ def write_tracks(path: AnyPath, tracks: Tracks, names: Mapping[int, str] | None 
 def write_detections(path: AnyPath, table: DetectionTable) -> None:
     """Write the detections of a sequence; replaces an existing file. Raises `InputError` if it
     cannot be written.
+
+    Parameters
+    ----------
+    path : the file.
+    table : boxes in pixels, frames from 1.
     """
     with DetectionsWriter(path, table.names) as writer:
         writer.append(table.frame, table.detections)
@@ -240,6 +260,11 @@ def write_truth(path: AnyPath, truth: Truth) -> None:
 
     Raises `InputError` if there are regions to ignore or a least height, which the format cannot
     express.
+
+    Parameters
+    ----------
+    path : the file.
+    truth : boxes in pixels, frames from 1.
     """
     if len(truth.regions) or truth.least_height:
         raise InputError(

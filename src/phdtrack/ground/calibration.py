@@ -25,6 +25,10 @@ _AMBIGUOUS = 1e-4
 class Calibration:
     """A fitted camera, and the residuals of its N points: ``pixel_error`` (N,) in the image,
     pixels, and ``ground_error`` (N,) on the ground, metres.
+
+    Attributes
+    ----------
+    camera : between pixels and metres.
     """
 
     camera: HomographyCamera
@@ -39,6 +43,15 @@ def fit_homography(pixel: F8, world: F8) -> Calibration:
     ``pixel`` (2, N) are clicked pixels, ``world`` (2, N) their positions on the ground, metres.
     Raises `InputError` for fewer than four pairs, a layout that does not determine the matrix, or
     pairs that no camera in front of a plane can show.
+
+    Parameters
+    ----------
+    pixel : (2, N) clicked points, pixels.
+    world : (2, N) their positions on the ground, metres.
+
+    Returns
+    -------
+    The camera, and how well it fits.
     """
     pixel = np.asarray(pixel, dtype=np.float64)
     world = np.asarray(world, dtype=np.float64)

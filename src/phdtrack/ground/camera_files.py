@@ -109,6 +109,15 @@ def read_camera(path: AnyPath, form: MatrixForm | None = None) -> Camera:
 
     The ground is flat at height 0 unless the file describes it. Raises `InputError` if there is no
     such file, its kind is unknown, or something in it is missing or wrong.
+
+    Parameters
+    ----------
+    path : the camera file.
+    form : the meaning of a bare matrix; None: the default.
+
+    Returns
+    -------
+    The camera, between pixels and metres.
     """
     path = Path(path)
     try:

@@ -142,6 +142,10 @@ def ground_covariance(camera: Camera, pixel: F8, cov: F8) -> F8:
     camera : between pixels and ground.
     pixel : (2, N) pixels.
     cov : (N, 2, 2) covariances of the pixels, square pixels.
+
+    Returns
+    -------
+    The covariances, metres².
     """
     slope = camera.jacobian(pixel)
     return slope @ cov @ slope.transpose(0, 2, 1)

@@ -29,6 +29,10 @@ def footprint(camera: Camera, frame_size: tuple[float, float], limit: float = 10
     camera : between pixels and ground.
     frame_size : width and height, pixels.
     limit : largest depth (`Camera.depth`), metres.
+
+    Returns
+    -------
+    The corners, metres.
     """
     width, height = frame_size
     if not (width > 0 and height > 0 and limit > 0):

@@ -54,13 +54,22 @@ class TsaiLens(Checked):
     sx: Positive = 1.0
 
     def rays(self, pixel: F8) -> F8:
-        """(2, N) slopes (xu/f, yu/f) of the pixels (2, N); NaN beyond the fold [E13 §3.2]."""
+        """(2, N) slopes (xu/f, yu/f) of the pixels (2, N); NaN beyond the fold [E13 §3.2].
+
+        Parameters
+        ----------
+        pixel : (2, N) pixels.
+        """
         distorted, r2 = self._sensor(pixel)
         return np.asarray(distorted * (1 + self.kappa * r2) / self.focal)
 
     def project(self, ray: F8) -> F8:
         """(2, N) pixels of rays with slopes (2, N), by the root of the cubic; NaN for rays outside
         of the lens.
+
+        Parameters
+        ----------
+        ray : (2, N) slopes x/z, y/z in the camera's axes.
         """
         plane = self.focal * np.asarray(ray, dtype=np.float64)
         distorted = plane * self._shrink(np.hypot(plane[0], plane[1]))
@@ -69,7 +78,12 @@ class TsaiLens(Checked):
         )
 
     def slope(self, pixel: F8) -> F8:
-        """(N, 2, 2) derivatives of `rays` at the pixels (2, N)."""
+        """(N, 2, 2) derivatives of `rays` at the pixels (2, N).
+
+        Parameters
+        ----------
+        pixel : (2, N) pixels.
+        """
         distorted, r2 = self._sensor(pixel)
         bend = 2 * self.kappa * distorted.T[:, :, None] * distorted.T[:, None, :]
         widened = (1 + self.kappa * r2)[:, None, None] * np.eye(2) + bend
@@ -150,7 +164,12 @@ class OpenCVLens:
         object.__setattr__(self, "fold", _fold(np.concatenate([d, np.zeros(12 - len(d))])))
 
     def rays(self, pixel: F8) -> F8:
-        """(2, N) slopes of the rays of the pixels (2, N); NaN for pixels that no ray reaches."""
+        """(2, N) slopes of the rays of the pixels (2, N); NaN for pixels that no ray reaches.
+
+        Parameters
+        ----------
+        pixel : (2, N) pixels.
+        """
         pixel = np.asarray(pixel, dtype=np.float64)
         target = (pixel - self.matrix[:2, 2:]) / np.diag(self.matrix)[:2, None]
         if not self.distortion.any():
@@ -173,12 +192,22 @@ class OpenCVLens:
         return rays
 
     def project(self, ray: F8) -> F8:
-        """(2, N) pixels of rays with slopes (2, N); NaN for rays outside of the lens."""
+        """(2, N) pixels of rays with slopes (2, N); NaN for rays outside of the lens.
+
+        Parameters
+        ----------
+        ray : (2, N) slopes x/z, y/z in the camera's axes.
+        """
         ray = np.asarray(ray, dtype=np.float64)
         return self._project(np.where(np.hypot(ray[0], ray[1]) < self.fold, ray, np.nan))[0]
 
     def slope(self, pixel: F8) -> F8:
-        """(N, 2, 2) derivatives of `rays` at the pixels (2, N)."""
+        """(N, 2, 2) derivatives of `rays` at the pixels (2, N).
+
+        Parameters
+        ----------
+        pixel : (2, N) pixels.
+        """
         return _inverse(self._project(self.rays(pixel))[1])
 
     def _project(self, ray: F8) -> tuple[F8, F8]:

@@ -50,16 +50,31 @@ class Flat:
     level: float = 0.0
 
     def height(self, xy: F8) -> F8:
-        """(N,) the level."""
+        """(N,) the level.
+
+        Parameters
+        ----------
+        xy : (2, N) points of the plane, metres.
+        """
         return np.full(np.shape(xy)[1], self.level)
 
     def normal(self, xy: F8) -> F8:
-        """(3, N) straight up."""
+        """(3, N) straight up.
+
+        Parameters
+        ----------
+        xy : (2, N) points of the plane, metres.
+        """
         return np.repeat([[0.0], [0.0], [1.0]], np.shape(xy)[1], axis=1)
 
     def meet(self, origin: F8, direction: F8) -> F8:
         """(N,) the s > 0 at which the ray reaches the level; NaN on and above the horizon [E13
         (7)].
+
+        Parameters
+        ----------
+        origin : (3,) where all rays begin, metres.
+        direction : (3, N) along each ray, of any length.
         """
         fall = self.level - origin[2]
         length = np.linalg.norm(direction, axis=0)
@@ -114,6 +129,10 @@ class Terrain:
     def height(self, xy: F8) -> F8:
         """(N,) elevation at the points (2, N), metres; NaN outside of the map and beside unknown
         heights.
+
+        Parameters
+        ----------
+        xy : (2, N) points of the plane, metres.
         """
         x, y = np.asarray(xy, dtype=np.float64)
         inside = (
@@ -122,12 +141,23 @@ class Terrain:
         return np.where(inside, self._patch(x, y)[0], np.nan)
 
     def normal(self, xy: F8) -> F8:
-        """(3, N) normals (−∂z/∂x, −∂z/∂y, 1) at the points (2, N)."""
+        """(3, N) normals (−∂z/∂x, −∂z/∂y, 1) at the points (2, N).
+
+        Parameters
+        ----------
+        xy : (2, N) points of the plane, metres.
+        """
         _, slope_x, slope_y = self._patch(*np.asarray(xy, dtype=np.float64))
         return np.stack([-slope_x, -slope_y, np.ones_like(slope_x)])
 
     def meet(self, origin: F8, direction: F8) -> F8:
-        """(N,) the least s > 0 at which the ray goes below the ground [E13 §3.3]."""
+        """(N,) the least s > 0 at which the ray goes below the ground [E13 §3.3].
+
+        Parameters
+        ----------
+        origin : (3,) where all rays begin, metres.
+        direction : (3, N) along each ray, of any length.
+        """
         low, high = self._first_crossing(origin, direction)
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
@@ -228,7 +258,16 @@ class Line(NamedTuple):
 
 
 def read_terrain(path: AnyPath) -> Terrain:
-    """Read the elevation map in an ASCII grid. Raises `InputError` if missing or malformed."""
+    """Read the elevation map in an ASCII grid. Raises `InputError` if missing or malformed.
+
+    Parameters
+    ----------
+    path : the grid: its header, then heights in metres.
+
+    Returns
+    -------
+    The surface of the ground.
+    """
     path = Path(path)
     origin, step, heights = _grid(path, load(path))
     try:

@@ -101,6 +101,11 @@ class Label:
 
     ``place`` (left, top, right, bottom; pixels) is where a person drew the box or moved it to, None
     for the detection's own. ``who`` is the labeller; comparisons ignore it.
+
+    Attributes
+    ----------
+    frame : number of the frame, from 1.
+    mark : what the box is.
     """
 
     frame: int
@@ -114,6 +119,12 @@ class Label:
 class Progress:
     """Number of frames that are done, and of all; of boxes marked as false, as births, and drawn;
     and of disputed boxes.
+
+    Attributes
+    ----------
+    done, frames : frames that are done, and all.
+    false, births, drawn : boxes marked as false alarms, as births, and drawn by hand.
+    disputed : boxes that labellers mark differently.
     """
 
     done: int
@@ -128,6 +139,10 @@ class Progress:
 class LabelStore:
     """The labels in one file. Each method opens it, does one thing completely or not at all, and
     closes it.
+
+    Parameters
+    ----------
+    path : the SQLite file.
     """
 
     path: Path

@@ -110,7 +110,12 @@ class Errors:
         return sorted(self.identity, key=lambda each: -each.boxes)[:number]
 
     def in_frames(self, numbers: I8) -> Errors:
-        """The errors of frames that were numbered from 1, with their own ``numbers``."""
+        """The errors of frames that were numbered from 1, with their own ``numbers``.
+
+        Parameters
+        ----------
+        numbers : (F,) the number of each frame.
+        """
         known = np.append(0, numbers)
         return replace(
             self,
@@ -214,6 +219,10 @@ def explain(
     frames : number of frames of the sequence, later rows are ignored; 0: up to the last row of
         either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1].
+
+    Returns
+    -------
+    Each error with its cause.
     """
     check_threshold(iou)
     sequence = pair_frames(truth, tracks, frames)

@@ -71,6 +71,10 @@ def rmse_per_target(
     frame, point : (N,), (d, N) of the estimates.
     gate : distance from which a pair counts as a miss and a false estimate, in the unit of the
         points.
+
+    Returns
+    -------
+    The errors of each target, in the unit of the points.
     """
     if not gate > 0:
         raise InputError(f"expected a gate > 0, got {gate}", where="gate")

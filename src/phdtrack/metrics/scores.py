@@ -31,6 +31,34 @@ class Scores:
     delays are in frames.
 
     ``counts`` are the sums and ``iou`` is the threshold of a match; `as_dict` omits both.
+
+    Attributes
+    ----------
+    MODA, N_MODA : detection accuracy, 1 − (misses + false positives) / truth: mean over the frames
+        with truth, and of the sums.
+    MODP : mean overlap (IoU) of the pairs of a frame, over the frames that have one.
+    MOTA, MOTA_log : tracking accuracy: N_MODA less the identity switches s of each frame per
+        annotated box; less ln(1 + s).
+    MOTP : mean overlap (IoU) of all pairs.
+    IDF1, IDP, IDR : F1, precision and recall of the best mapping of identities for the whole
+        sequence.
+    HOTA, DetA, AssA : mean over 19 thresholds of overlap, and its parts for detection and
+        association.
+    OSPA, GOSPA : distances between the sets of boxes, means over the frames.
+    OSPA2 : distance between the sets of whole tracks.
+    SFDA, ATA : VACE's accuracies of frames and of tracks, without a threshold.
+    N_MODA_detection, ATA_matched : N_MODA with the mapping of the largest overlap in each frame;
+        ATA with overlaps counted as 1 from the threshold on.
+    id_switches, fragments : changes of an object's output identity; interruptions of its mapping.
+    misses, false_positives, matches : boxes of the truth without a pair, of the output without one,
+        and pairs.
+    frames, truth_boxes, output_boxes, truth_objects, output_identities : numbers of them.
+    objects_found, mostly_tracked, mostly_lost : objects that are ever mapped, in more than 80 % of
+        their frames, in less than 20 %.
+    false_tracks : output identities that are never mapped.
+    delay_mean : frames from an object's first one to its first pair, mean over those found.
+    count_error_mean, count_error_rms : output boxes less annotated ones in a frame: mean, and root
+        mean square.
     """
 
     MODA: float
@@ -93,6 +121,10 @@ def evaluate(
         either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own thresholds.
     first : the first frame that is scored, to score a part of a sequence.
+
+    Returns
+    -------
+    The scores; shares are at most 1, those that are not defined NaN.
     """
     check_threshold(iou)
     for rows, kind, name in ((truth, Truth, "annotated objects"), (tracks, Tracks, "tracks")):
@@ -107,7 +139,16 @@ def evaluate(
 
 def pool(parts: Sequence[Scores]) -> Scores:
     """The scores over several sequences, from their results of `evaluate` or `pool` with the same
-    threshold. Raises `InputError` for no results, or results with different thresholds."""
+    threshold. Raises `InputError` for no results, or results with different thresholds.
+
+    Parameters
+    ----------
+    parts : the scores of each sequence.
+
+    Returns
+    -------
+    The pooled scores.
+    """
     if not parts:
         raise InputError("expected the scores of at least one sequence, got none")
     iou = parts[0].iou

@@ -49,6 +49,10 @@ def tgospa_boxes(
     truth, tracks : annotated boxes, output boxes.
     frames : number of frames of the sequence, later rows are ignored; 0: all.
     gamma : penalty of an identity switch.
+
+    Returns
+    -------
+    The metric and its parts, without a unit.
     """
     if not gamma >= 0:
         raise InputError(f"expected a switching penalty ≥ 0, got {gamma}", where="gamma")

@@ -211,7 +211,12 @@ class MeasurementBirth(_AroundDetections):
     volume: NonNegative = 0.0
 
     def density(self, z: F8) -> F8:
-        """(N,) γ per second and pixel⁴ at the detections; 0 where a size is not positive."""
+        """(N,) γ per second and pixel⁴ at the detections; 0 where a size is not positive.
+
+        Parameters
+        ----------
+        z : (m, N) measurements.
+        """
         if self.births_per_detection:
             return self.births_per_detection / local_volume(z)
         flat = self.births_per_second / (self.volume or image_volume(self.frame_size))
@@ -238,6 +243,10 @@ class PointBirth(_AroundDetections):
 
         The image has no border here: a centroid measured with noise may lie a little outside, and
         so may its target.
+
+        Parameters
+        ----------
+        z : (m, N) measurements.
         """
         return np.full(z.shape[1], self.births_per_second / image_area(self.frame_size))
 
@@ -262,7 +271,12 @@ class PlaneBirth(_AroundDetections):
     borders: Region = EVERYWHERE
 
     def density(self, z: F8) -> F8:
-        """(N,) γ per second and m² at the detections."""
+        """(N,) γ per second and m² at the detections.
+
+        Parameters
+        ----------
+        z : (m, N) measurements.
+        """
         if self.births_per_detection:
             return self.births_per_detection / local_area(z)
         flat = self.births_per_second / area(self.borders, "PlaneBirth.borders")

@@ -330,7 +330,12 @@ class BoxMotion(Checked):
         )
 
     def dynamics(self, dt: float, seconds: float) -> BoxDynamics:
-        """The motion over an interval of ``dt`` time units, for the kernels of boxes [M09 (11)]."""
+        """The motion over an interval of ``dt`` time units, for the kernels of boxes [M09 (11)].
+
+        Parameters
+        ----------
+        dt, seconds : the interval, in the model's time unit and in seconds.
+        """
         dt = float(dt)
         a2 = self.acceleration**2
         return BoxDynamics(

@@ -42,6 +42,10 @@ class Annotator:
 
     Labels include the class if there are ``names``. ``blur`` (`arrays.pixelated`) hides the content
     of all boxes first.
+
+    Parameters
+    ----------
+    info : size of the frames in pixels, and their rate.
     """
 
     def __init__(

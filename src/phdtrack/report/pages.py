@@ -85,7 +85,16 @@ def score_meanings() -> dict[str, str]:
 
 
 def sentences(record: RunRecord) -> tuple[str, ...]:
-    """A summary of a run in a few sentences, for the report, the terminal and ``run.json``."""
+    """A summary of a run in a few sentences, for the report, the terminal and ``run.json``.
+
+    Parameters
+    ----------
+    record : the run.
+
+    Returns
+    -------
+    One sentence each.
+    """
     return lines("summary.txt", record=record, moving_regions=MOVING_REGIONS)
 
 
@@ -105,7 +114,17 @@ def doubts(record: RunRecord) -> tuple[str, ...]:
 
 
 def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
-    """The whole page of a run's report; ``config`` holds the settings, listed at the end."""
+    """The whole page of a run's report; ``config`` holds the settings, listed at the end.
+
+    Parameters
+    ----------
+    record : the run.
+    config : its settings, by section.
+
+    Returns
+    -------
+    The page, complete in itself.
+    """
     title = record.about.title or record.info.name or "Tracking run"
     lead = " ".join(sentences(record))
     return str(
@@ -122,6 +141,15 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
     sum may exceed the time per frame because stages overlap. ``log_evidence`` has one value per
     frame, null if the filter has none. ``doubtful_boxes`` holds shares from 0 to 1, see
     `DoubtfulTracks`; null if the detector reports objects, not moving regions.
+
+    Parameters
+    ----------
+    record : the run.
+    config : its settings, by section.
+
+    Returns
+    -------
+    The content of run.json.
     """
     about = record.about
     info = record.info
@@ -252,6 +280,12 @@ def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str
 
 
 def write_run(path: Path, document: Mapping[str, object]) -> None:
-    """Write the document as indented UTF-8. Raises `InputError` if the file cannot be written."""
+    """Write the document as indented UTF-8. Raises `InputError` if the file cannot be written.
+
+    Parameters
+    ----------
+    path : the file.
+    document : the result of `run_document`.
+    """
     text = json.dumps(json_value(document), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")

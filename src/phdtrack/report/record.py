@@ -216,6 +216,10 @@ class Recorder:
     annotations. If ``most`` is given, only that many of the last frames are kept, and corrected
     rows must be passed to `count` when they are final. ``blur`` (`arrays.pixelated`) hides boxes of
     detections, estimates and tracks. ``appearance`` takes in what boxes look like.
+
+    Parameters
+    ----------
+    info : size of the frames in pixels, and their rate.
     """
 
     def __init__(
@@ -275,12 +279,22 @@ class Recorder:
             self._pictured = step.number
 
     def keep_picture_of(self, other: Recorder) -> None:
-        """Take over the picture of a recorder of the same frames."""
+        """Take over the picture of a recorder of the same frames.
+
+        Parameters
+        ----------
+        other : the other recorder.
+        """
         self._picture = other._picture
         self._pictured = other._pictured
 
     def count(self, rows: Tracks) -> None:
-        """Count final corrected rows of a source without end."""
+        """Count final corrected rows of a source without end.
+
+        Parameters
+        ----------
+        rows : boxes in pixels.
+        """
         self._whole = self._whole.with_rows(rows, self._unobserved, *self._known)
         # No track is absent for longer.
         self._known = self._known[1], set(rows.identity.tolist())
@@ -288,6 +302,11 @@ class Recorder:
     def record(self, tracks: Tracks, about: About) -> RunRecord:
         """The record so far, with the corrected tracks of all frames that are kept; more frames
         may follow.
+
+        Parameters
+        ----------
+        tracks : corrected rows, boxes in pixels.
+        about : what else is told of the run.
         """
         table = np.array(self._rows, dtype=np.float64).reshape(-1, 8 + len(STAGES))
         numbers = table[:, 0].astype(np.int64)

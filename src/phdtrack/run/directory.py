@@ -218,6 +218,12 @@ _HELD = WeakValueDictionary[Path, _Lock]()
 class RunDirectory:
     """A directory that is ready to be written into; none of its ``files``, by name with what they
     are, exists yet, unless an earlier run is resumed.
+
+    Attributes
+    ----------
+    path : the directory.
+    files : what may be written, by name.
+    lock : keeps other processes out; None without.
     """
 
     path: Path
@@ -334,6 +340,10 @@ def claim(
     files : the files that may be written, by name with what they are.
     resume : remove nothing.
     inputs : paths or addresses that are read; None or empty for none.
+
+    Returns
+    -------
+    The directory; nobody else can claim it until it is released.
 
     Raises
     ------

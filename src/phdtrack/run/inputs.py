@@ -223,6 +223,10 @@ def open_inputs(
     last : the last annotated frame: a sequence without a video is at least that long.
     part : the frames to track.
 
+    Returns
+    -------
+    Frames, detector, and what is known of both.
+
     Raises
     ------
     InputError : options do not go together, or something cannot be read.

@@ -106,7 +106,17 @@ def table_frames(
 
 
 def track_frame(tracker: Tracker, detected: DetectedFrame) -> TrackedFrame:
-    """Give a frame to the tracker, which limits its detections and separates their classes."""
+    """Give a frame to the tracker, which limits its detections and separates their classes.
+
+    Parameters
+    ----------
+    tracker : what is carried from frame to frame.
+    detected : a frame and its detections.
+
+    Returns
+    -------
+    What the frame brought.
+    """
     frame = detected.frame
     warp = detected.warp if len(detected.warp) else None
     rows = tracker.update(detected.detections, frame.number, frame.time, warp)

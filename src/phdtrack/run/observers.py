@@ -20,7 +20,14 @@ the run has none.
 
 
 class Report(NamedTuple):
-    """The results of an observer: for run.json, for the terminal, and as markup for the report."""
+    """The results of an observer: for run.json, for the terminal, and as markup for the report.
+
+    Attributes
+    ----------
+    document : values for run.json, by name.
+    sentences : for the terminal.
+    section : markup for report.html; empty for none.
+    """
 
     document: dict[str, object]
     sentences: tuple[str, ...] = ()
@@ -37,13 +44,30 @@ class RunObserver:
     all_tracks: ClassVar[bool] = False
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
-        """Open its files until ``files`` are closed."""
+        """Open its files until ``files`` are closed.
+
+        Parameters
+        ----------
+        directory : of the run.
+        files : closes them at the end.
+        """
 
     def take(self, tracked: TrackedFrame) -> None:
-        """Take in a frame."""
+        """Take in a frame.
+
+        Parameters
+        ----------
+        tracked : a frame behind the tracker.
+        """
 
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
-        """Take in the corrected tracks of the whole run, before anything is drawn or reported."""
+        """Take in the corrected tracks of the whole run, before anything is drawn or reported.
+
+        Parameters
+        ----------
+        directory : of the run.
+        tracks : corrected rows, boxes in pixels.
+        """
 
     def drawing(self, directory: RunDirectory, files: ExitStack, *, pictures: bool) -> Draw | None:
         """A function that draws its video until ``files`` are closed, if it has one.

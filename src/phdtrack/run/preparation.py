@@ -40,7 +40,13 @@ from phdtrack.types import Truth
 
 @dataclass(frozen=True, slots=True)
 class PreparedRun:
-    """The arguments of `video.run` except the directory, and their settings."""
+    """The arguments of `video.run` except the directory, and their settings.
+
+    Attributes
+    ----------
+    inputs, classes, options, observers : as `video.run` takes them.
+    settings : that the stages were built from.
+    """
 
     inputs: Inputs
     classes: ClassSettings
@@ -98,6 +104,10 @@ def prepare(
     request : what to run.
     command : the command line, for run.json.
     settings : in place of those that the request names.
+
+    Returns
+    -------
+    The run, which `PreparedRun.run` starts.
 
     Raises
     ------

@@ -21,19 +21,40 @@ class Reporter(Protocol):
         ...
 
     def note(self, text: str) -> None:
-        """Report a sentence about the work under way."""
+        """Report a sentence about the work under way.
+
+        Parameters
+        ----------
+        text : one line.
+        """
         ...
 
     def warn(self, sentences: Iterable[str]) -> None:
-        """Report what is not as it should be but does not stop the run."""
+        """Report what is not as it should be but does not stop the run.
+
+        Parameters
+        ----------
+        sentences : each with its cure.
+        """
         ...
 
     def progress(self, title: str, total: int = 0) -> AbstractContextManager[Advance]:
-        """Show the progress of ``total`` steps while the block runs; 0 if the end is unknown."""
+        """Show the progress of ``total`` steps while the block runs; 0 if the end is unknown.
+
+        Parameters
+        ----------
+        title : what goes on.
+        total : number of steps.
+        """
         ...
 
     def stopping(self, sentence: str) -> None:
-        """Report that a signal stopped the run, which now completes its files."""
+        """Report that a signal stopped the run, which now completes its files.
+
+        Parameters
+        ----------
+        sentence : why it stops.
+        """
         ...
 
 

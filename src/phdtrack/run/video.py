@@ -100,6 +100,10 @@ def run(
     reporter : receives progress and sentences.
     resume : continue a run that was interrupted.
 
+    Returns
+    -------
+    Tracks, the content of run.json, sentences, and what stopped the run.
+
     Raises
     ------
     Whatever stops the run before its first frame; the directory is then left without files of this

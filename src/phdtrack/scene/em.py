@@ -73,6 +73,15 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
     The result is deterministic, and ``density`` itself without samples. Samples outside the volume
     are ignored. Raises `InputError` for samples of another dimension, infinite or without any
     component, and for a ``density`` without Gaussians.
+
+    Parameters
+    ----------
+    density : where learning starts.
+    samples : (d, n), in the units of ``density``; NaN where a component is not known.
+
+    Returns
+    -------
+    The learned density.
     """
     _check_samples(density, samples)
     used = density.contains(np.where(np.isnan(samples), density.low[:, None], samples))
@@ -126,6 +135,10 @@ def grid(
     centre, spread : (d,) mean and standard deviation of the other components (mean size, zero
         velocity).
     uniform : α_u.
+
+    Returns
+    -------
+    The density.
     """
     extent = high - low
     steps = np.array(counts)

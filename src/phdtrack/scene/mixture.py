@@ -150,7 +150,17 @@ class SceneDensity:
 
 
 def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
-    """The marginal density of the components ``rows``; truncation in the others is ignored."""
+    """The marginal density of the components ``rows``; truncation in the others is ignored.
+
+    Parameters
+    ----------
+    p : the density of all components.
+    rows : numbers of the components that are kept, from 0.
+
+    Returns
+    -------
+    The density of these components.
+    """
     keep = list(rows)
     return SceneDensity(
         p.low[keep],
@@ -165,6 +175,14 @@ def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
 def shown_volume(p: SceneDensity) -> float:
     """V of the positions and sizes of boxes, pixel⁴, for a density of boxes (d = 4) or of their
     states (d = 6).
+
+    Parameters
+    ----------
+    p : a density of boxes or of their states.
+
+    Returns
+    -------
+    The volume, pixel⁴.
     """
     if p.dim == len(OBSERVED):
         return p.volume

@@ -74,7 +74,13 @@ class Scene:
 
 
 def write_scene(path: Path, scene: Scene) -> None:
-    """Write a scene, completely or not at all."""
+    """Write a scene, completely or not at all.
+
+    Parameters
+    ----------
+    path : the file; an existing one is replaced.
+    scene : what is written.
+    """
     document = {
         "format": FORMAT,
         **{name: getattr(scene, name) for name in ("width", "height", "rate", "source")},
@@ -90,7 +96,16 @@ def write_scene(path: Path, scene: Scene) -> None:
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene. Raises `InputError` if the file is missing or is not a learned scene."""
+    """Read a scene. Raises `InputError` if the file is missing or is not a learned scene.
+
+    Parameters
+    ----------
+    path : what `write_scene` or ``phdtrack learn`` wrote.
+
+    Returns
+    -------
+    The scene.
+    """
     document = read_json(path, load(path))
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         got = type(document).__name__

@@ -92,6 +92,10 @@ def detect(
     model : settings of the detector.
     obstacles : (K, 4) xyxy of obstacles that hide objects behind them, pixels; for
         ``model.occlusion``.
+
+    Returns
+    -------
+    The detections, boxes in pixels, and the places of steady false alarms.
     """
     if info.frames < 1 or (
         len(truth) and not 1 <= truth.frame.min() <= truth.frame.max() <= info.frames
@@ -151,6 +155,10 @@ def add_clutter(
     rate : expected false alarms per frame.
     rng : the random generator.
     truth_sizes : (S, 2) widths and heights to draw from, pixels; log-uniform if it has no rows.
+
+    Returns
+    -------
+    The detections with the false alarms.
     """
     if not 1 <= info.frames <= _MAX_FRAMES:
         raise InputError(

@@ -47,6 +47,10 @@ class Rendered:
     ``rng`` draws one number, the seed of everything random in the video. ``look`` None means
     `Look()`. ``plant_boxes`` (P, 4) are the plants: at the scene's persistent places, or at random
     places with the sizes of the figures.
+
+    Parameters
+    ----------
+    scene : what is painted.
     """
 
     def __init__(self, scene: Scene, rng: np.random.Generator, look: Look | None = None) -> None:

@@ -120,6 +120,12 @@ def _foot_points(walk: Walk, camera: LevelCamera, size: Point, times: F8) -> tup
 class Entrance(NamedTuple):
     """A border of the frame where people come and go, or a door at ``foot`` (x, y in fractions of
     the frame).
+
+    Attributes
+    ----------
+    side : a border, or a door.
+    foot : where the feet of those who come through a door are.
+    weight : how often it is chosen, relative to the other entrances.
     """
 
     side: Literal["left", "right", "bottom", "door"]
@@ -228,6 +234,10 @@ class Scenario(Checked):
     def figures(self, rng: np.random.Generator) -> Truth:
         """All figures that are at least partly in the frame, numbered in the order of their
         arrival; boxes are not clipped.
+
+        Parameters
+        ----------
+        rng : of all draws.
         """
         walks = sorted((*self.walks, *self._arriving(rng)), key=lambda walk: walk.at)
         times = np.arange(self.frames) / self.fps
@@ -242,7 +252,12 @@ class Scenario(Checked):
         return truth_rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def truth(self, figures: Truth) -> Truth:
-        """The figures that are sufficiently inside the frame, with boxes clipped to it."""
+        """The figures that are sufficiently inside the frame, with boxes clipped to it.
+
+        Parameters
+        ----------
+        figures : of the frames, boxes in pixels.
+        """
         kept = np.flatnonzero(share_inside(figures.xyxy, self.width, self.height) >= _MIN_VISIBLE)
         inside = np.clip(figures.xyxy[kept], 0.0, np.tile([self.width, self.height], 2))
         return truth_rows(figures.frame[kept], figures.identity[kept], inside)
@@ -472,6 +487,10 @@ def make_scene(
     seed : seed of all random draws.
     detector : None for `default_detector`, which misses occluded people.
     **settings : replace settings of the scene, for example ``frames=100``.
+
+    Returns
+    -------
+    The scene: truth, detections, and what a video of it needs.
     """
     if isinstance(world, str):
         if world not in NAMED:
@@ -502,10 +521,28 @@ def make_scene(
 
 
 def default_detector(world: Scenario) -> DetectorModel:
-    """The detector of a scene unless another one is given."""
+    """The detector of a scene unless another one is given.
+
+    Parameters
+    ----------
+    world : the scene.
+
+    Returns
+    -------
+    One that misses occluded people.
+    """
     return DetectorModel(occlusion=2.0, places=_PLACES.get(world.name, 5))
 
 
 def default_look(name: str) -> Look:
-    """The appearance of the scene ``name`` unless another one is given."""
+    """The appearance of the scene ``name`` unless another one is given.
+
+    Parameters
+    ----------
+    name : one of `NAMED`.
+
+    Returns
+    -------
+    The appearance.
+    """
     return _LOOKS.get(name, Look())

@@ -90,6 +90,10 @@ class CameraMotion:
     Call it once for every `Tracker.update`, with the picture in which the boxes were detected.
     ``measured`` is False if the motion in the last picture could not be measured, and is assumed to
     be none.
+
+    Parameters
+    ----------
+    settings : of the optical flow; None: its defaults.
     """
 
     def __init__(self, settings: SparseFlow | None = None) -> None:

@@ -42,6 +42,10 @@ def open_source(
     first, last : only these frames, from 1; 0: up to the end. A video file with time stamps seeks
         to the first.
 
+    Returns
+    -------
+    A source that yields frames in order, with their times in seconds.
+
     Raises
     ------
     InputError : there are no frames that can be decoded, or the rate is invalid.
