@@ -22,19 +22,21 @@ if TYPE_CHECKING:
     from phdtrack.video.ego_motion import CameraMotion
 
 
-__getattr__, __dir__ = lazy(
-    __name__,
-    {
-        "CameraMotion": "phdtrack.video.ego_motion",
-        "Detections": "phdtrack.types",
-        "InputError": "phdtrack.errors",
-        "Tracker": "phdtrack.tracker",
-        "Tracks": "phdtrack.types",
-        "evaluate": "phdtrack.metrics",
-        "export_tracks": "phdtrack.formats",
-        "read_tracks": "phdtrack.formats",
-    },
-)
+# Type checkers know the names by their imports, and find one that does not exist.
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = lazy(
+        __name__,
+        {
+            "CameraMotion": "phdtrack.video.ego_motion",
+            "Detections": "phdtrack.types",
+            "InputError": "phdtrack.errors",
+            "Tracker": "phdtrack.tracker",
+            "Tracks": "phdtrack.types",
+            "evaluate": "phdtrack.metrics",
+            "export_tracks": "phdtrack.formats",
+            "read_tracks": "phdtrack.formats",
+        },
+    )
 
 __all__ = [
     "CameraMotion",

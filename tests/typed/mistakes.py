@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack import CameraMotion, Detections, Tracker, Tracks, evaluate
+import phdtrack
+from phdtrack import CameraMotion, Detections, Tracker, Tracks, evaluate, filters, models
 from phdtrack.final_rows import FinalTracks
 from phdtrack.formats import export_tracks, read_detections, read_tracks, read_truth
 from phdtrack.live.events import Watch
@@ -33,6 +34,11 @@ Tracker(SIZE, camera_motion={"kind": "ecc"})  # wrong: typeddict-item
 Tracker(SIZE, classes={"person": {"min_scor": 0.3}})  # wrong: dict-item
 Tracker(SIZE, birth={"places": "door"})  # wrong: typeddict-item
 Tracker(SIZE, detector={"min_area": 0.001})  # wrong: call-arg
+
+# Names.
+phdtrack.Trakcer(SIZE)  # wrong: attr-defined
+filters.PMBN()  # wrong: attr-defined
+models.BoxMotions()  # wrong: attr-defined
 
 # Calls.
 Tracker("1920x1080")  # wrong: arg-type

@@ -35,6 +35,8 @@ __all__ = [
     "restore",
 ]
 
-__getattr__, __dir__ = lazy(
-    __name__, {name: f"{__name__}.{module}" for name, module in _MODULES.items()}
-)
+# Type checkers know the names by their imports, and find one that does not exist.
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = lazy(
+        __name__, {name: f"{__name__}.{module}" for name, module in _MODULES.items()}
+    )

@@ -18,19 +18,21 @@ if TYPE_CHECKING:
     from phdtrack.filters.pmb import PMB, BestBernoullis
     from phdtrack.filters.pmbm import MHT, PMBM, BestHypothesis
 
-__getattr__, __dir__ = lazy(
-    __name__,
-    {
-        **dict.fromkeys(("GMCPHD", "ParticleCPHD"), "phdtrack.filters.cphd"),
-        **dict.fromkeys(("Components", "KMeans", "Mixture"), "phdtrack.filters.extract"),
-        **dict.fromkeys(("MCMC", "Joint"), "phdtrack.filters.mcmc"),
-        **dict.fromkeys(("NoFilter", "Raw"), "phdtrack.filters.none"),
-        "GMPHD": "phdtrack.filters.phd_gaussian",
-        "ParticlePHD": "phdtrack.filters.phd_particle",
-        **dict.fromkeys(("PMB", "BestBernoullis"), "phdtrack.filters.pmb"),
-        **dict.fromkeys(("MHT", "PMBM", "BestHypothesis"), "phdtrack.filters.pmbm"),
-    },
-)
+# Type checkers know the names by their imports, and find one that does not exist.
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = lazy(
+        __name__,
+        {
+            **dict.fromkeys(("GMCPHD", "ParticleCPHD"), "phdtrack.filters.cphd"),
+            **dict.fromkeys(("Components", "KMeans", "Mixture"), "phdtrack.filters.extract"),
+            **dict.fromkeys(("MCMC", "Joint"), "phdtrack.filters.mcmc"),
+            **dict.fromkeys(("NoFilter", "Raw"), "phdtrack.filters.none"),
+            "GMPHD": "phdtrack.filters.phd_gaussian",
+            "ParticlePHD": "phdtrack.filters.phd_particle",
+            **dict.fromkeys(("PMB", "BestBernoullis"), "phdtrack.filters.pmb"),
+            **dict.fromkeys(("MHT", "PMBM", "BestHypothesis"), "phdtrack.filters.pmbm"),
+        },
+    )
 
 __all__ = [
     "GMCPHD",

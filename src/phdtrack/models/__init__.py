@@ -43,6 +43,8 @@ _MODULES = {
     "Plane": "phdtrack.models.plane",
     "Point": "phdtrack.models.point",
 }
-__getattr__, __dir__ = lazy(
-    __name__, {name: next(_MODULES[key] for key in _MODULES if key in name) for name in __all__}
-)
+# Type checkers know the names by their imports, and find one that does not exist.
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = lazy(
+        __name__, {name: next(_MODULES[key] for key in _MODULES if key in name) for name in __all__}
+    )

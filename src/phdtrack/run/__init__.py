@@ -41,10 +41,12 @@ _MODULES = {
     "running": ("RunOptions",),
     "video": ("RunResult", "run"),
 }
-__getattr__, __dir__ = lazy(
-    __name__,
-    {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names},
-)
+# Type checkers know the names by their imports, and find one that does not exist.
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = lazy(
+        __name__,
+        {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names},
+    )
 
 __all__ = [
     "DetectedFrame",
