@@ -12,19 +12,21 @@ import re
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Lt
 
 from phdtrack.cli.show_settings import meanings, toml_value
 from phdtrack.config.class_settings import SECTIONS as SECTIONS_OF_A_CLASS
 from phdtrack.config.presets import PRESETS
 from phdtrack.config.registry import SECTIONS, constructor_defaults, record, settable
 from phdtrack.config.sections import Label, Places
+from phdtrack.detect.detectors import DETECTORS, detector_records
 from phdtrack.detect.embedding_settings import EmbeddingSettings
+from phdtrack.detect.onnx import OnnxDetector
 
 ROOT = Path(__file__).resolve().parent.parent
 MODULE = ROOT / "src" / "phdtrack" / "config" / "section_types.py"
@@ -45,7 +47,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypedDict
+from typing import Literal, TypeAlias, TypedDict
 
 Labels: TypeAlias = list[int] | list[str] | list[int | str] | tuple[int | str, ...]
 """Classes, each by its number or its name."""
@@ -62,6 +64,7 @@ with type, bounds, default and meaning. [How to set them](../how-to/settings.md)
 line `--set associate.output_delay=5`.
 
 A section with several kinds has a setting `kind`, which names one; its first kind is the default.
+The kinds of `[detector]` are the detectors, which `--detector` names.
 Defaults are those of the parts, as in the preset `default`, to four digits; `phdtrack settings
 --all --preset NAME` prints all values of another one. Type checkers and editors know the settings
 by the types of `phdtrack.config.section_types`, one TypedDict for each section, such as
@@ -98,22 +101,48 @@ def form_of(hint: Any, meaning: str, default: Any) -> Form:
     return Form(hint, meaning, text)
 
 
+# The sections that detectors and networks check themselves, with the records of each kind. Their
+# kind is the name of a detector, which is no setting.
+RECORDS: Mapping[str, Mapping[str, tuple[type[Any], ...]]] = {
+    "detector": {
+        **{name: detector_records(name) for name in DETECTORS},
+        "onnx:FILE": (OnnxDetector,),
+    },
+    "embedding": {"": (EmbeddingSettings,)},
+}
+# Fields that are no settings.
+NOT_SET = ("file", "blobs")
+
+
+def kinds_of(section: str) -> tuple[str, ...]:
+    """The kinds of a section, or the detectors of [detector]."""
+    return tuple(RECORDS[section]) if section in RECORDS else SECTIONS[section]
+
+
 def settings_of(section: str) -> list[Setting]:
     """The settings of a section without its kind, in the order of its kinds."""
     forms: dict[str, list[tuple[str, Form]]] = {}
-    for kind in SECTIONS[section]:
+    for kind in kinds_of(section):
+        for name, form in forms_of(section, kind):
+            forms.setdefault(name, []).append((kind, form))
+    return [Setting(name, dict(grouped(found))) for name, found in forms.items()]
+
+
+def forms_of(section: str, kind: str) -> Iterator[tuple[str, Form]]:
+    """The settings of one kind of a section by name."""
+    if section not in RECORDS:
         words = meanings(record(section, kind))
         defaults = constructor_defaults(section, kind)
         for name, hint in settable(section, kind).items():
-            form = form_of(hint, words[name], defaults.get(name))
-            forms.setdefault(name, []).append((kind, form))
-    if section == "embedding":
-        words = meanings(EmbeddingSettings)
-        hints = get_type_hints(EmbeddingSettings, include_extras=True)
-        for field in fields(EmbeddingSettings):
-            form = form_of(hints[field.name], words[field.name], field.default)
-            forms[field.name] = [("", form)]
-    return [Setting(name, dict(grouped(found))) for name, found in forms.items()]
+            yield name, form_of(hint, words[name], defaults.get(name))
+        return
+    for one in RECORDS[section][kind]:
+        words = meanings(one)
+        hints = get_type_hints(one, include_extras=True)
+        for field in fields(one):
+            if field.name not in NOT_SET:
+                form = form_of(hints[field.name], words[field.name], field.default)
+                yield field.name, form
 
 
 def grouped(found: list[tuple[str, Form]]) -> Iterator[tuple[str, tuple[Form, tuple[str, ...]]]]:
@@ -173,12 +202,10 @@ def bounds_of(hint: Any) -> str:
     if get_origin(hint) is not Annotated:
         return ""
     limits = get_args(hint)[1:]
-    low = next((limit for limit in limits if isinstance(limit, Ge | Gt)), None)
-    high = next((limit.le for limit in limits if isinstance(limit, Le)), None)
-    if isinstance(low, Ge) and high is not None:
-        return f"from {low.ge} to {high}"
-    below = f", at most {high}" if high is not None else ""
-    return f"at least {low.ge}{below}" if isinstance(low, Ge) else f"above {low.gt}{below}"
+    if {type(limit) for limit in limits} == {Ge, Le}:
+        return f"from {limits[0].ge} to {limits[1].le}"
+    words = {Ge: "at least", Gt: "above", Le: "at most", Lt: "below"}
+    return ", ".join(f"{words[type(one)]} {astuple(one)[0]}" for one in limits)
 
 
 def sentence(words: str) -> str:
@@ -191,9 +218,9 @@ def sentence(words: str) -> str:
     return words if words.endswith(".") else f"{words}."
 
 
-def description(setting: Setting, kinds: tuple[str, ...]) -> list[str]:
-    """The paragraphs on a setting: its meanings and bounds; of a section of these ``kinds``, those
-    that have it, unless all have."""
+def description(setting: Setting, kinds: tuple[str, ...], noun: str) -> list[str]:
+    """The paragraphs on a setting: its meanings and bounds; of a section of these ``kinds``, which
+    the ``noun`` stands for, those that have it, unless all have."""
     of_meaning: dict[str, list[str]] = {}
     for form, own in setting.forms.values():
         bounds = bounds_of(form.hint)
@@ -204,7 +231,7 @@ def description(setting: Setting, kinds: tuple[str, ...]) -> list[str]:
     if len(of_meaning) == 1:
         (text,) = of_meaning
         if set(setting.kinds) != set(kinds):
-            text += f" For kind {', '.join(setting.kinds)}."
+            text += f" For {noun} {', '.join(setting.kinds)}."
         return [text]
     return [f"{', '.join(own)}: {text}" for text, own in of_meaning.items()]
 
@@ -250,16 +277,17 @@ def key(name: str, type_: str, paragraphs: Iterable[str]) -> list[str]:
 
 def section_class(section: str) -> list[str]:
     """The lines of a section's TypedDict."""
-    kinds = SECTIONS[section]
+    kinds = kinds_of(section)
+    noun = "detector" if section == "detector" else "kind"
     lines = [
         "",
         f"class {camel(section)}Section(TypedDict, total=False):",
         f'    """Settings of the section [{section}]."""',
     ]
-    if len(kinds) > 1:
+    if len(SECTIONS[section]) > 1:
         lines += ["", *key("kind", f"{camel(section)}Kind", [f"One of {', '.join(kinds)}."])]
     for setting in settings_of(section):
-        lines += ["", *key(setting.name, type_of(setting), description(setting, kinds))]
+        lines += ["", *key(setting.name, type_of(setting), description(setting, kinds, noun))]
     return [*lines, ""]
 
 
@@ -272,7 +300,7 @@ def section_type(section: str) -> str:
         # A dictionary with names of classes as keys; TypedDicts with other keys than the stated
         # ones need Python 3.15.
         return f"{own} | Mapping[str, OneClassSection | Labels | Sequence[Labels]]"
-    return "Mapping[str, Any]" if section == "detector" else own
+    return own
 
 
 def one_class() -> list[str]:
@@ -299,7 +327,7 @@ def module_text() -> str:
             says = f"Kinds of the section [{section}]."
             lines += alternatives(f"{camel(section)}Kind", kinds, says)
     lines += alternatives("PresetName", PRESETS, "Names of presets.")
-    before_classes = [one for one in SECTIONS if one not in ("classes", "detector")]
+    before_classes = [one for one in SECTIONS if one != "classes"]
     for section in before_classes:
         lines += section_class(section)
     lines += [*one_class(), *section_class("classes")]
@@ -333,9 +361,9 @@ def cell(text: str) -> str:
 
 def rows(section: str) -> Iterator[str]:
     """The rows of a section's table on the page."""
-    kinds = SECTIONS[section]
+    kinds = kinds_of(section)
     several = len(kinds) > 1
-    if several:
+    if len(SECTIONS[section]) > 1:
         yield f"| `kind` | | one of {', '.join(f'`{kind}`' for kind in kinds)} | `{kinds[0]}` | |"
     for setting in settings_of(section):
         for form, own in setting.forms.values():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
 from typing import get_args, get_type_hints
@@ -14,6 +15,8 @@ from phdtrack import Tracker, config
 from phdtrack.config import section_types
 from phdtrack.config.presets import PRESETS
 from phdtrack.config.registry import SECTIONS, constructor_defaults, settable
+from phdtrack.detect import DETECTORS, detector_parameters
+from phdtrack.detect.embedding_settings import EmbeddingSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 # The class of a section, and the alias of its kinds.
@@ -63,6 +66,13 @@ def test_every_setting_has_a_type(section: str) -> None:
         assert get_args(getattr(section_types, f"{NAMES[section]}Kind")) == kinds
     assert set(get_type_hints(typed)) == names
     assert not typed.__required_keys__
+
+
+def test_every_parameter_of_detectors_and_networks_has_a_type() -> None:
+    names = {name for one in (*DETECTORS, "onnx:any") for name in detector_parameters(one)}
+    assert set(get_type_hints(section_types.DetectorSection)) == names
+    networks = {field.name for field in fields(EmbeddingSettings)}
+    assert set(get_type_hints(section_types.EmbeddingSection)) == networks
 
 
 def test_presets_and_sections_are_complete() -> None:

@@ -96,16 +96,15 @@ def toml_value(value: Any) -> str:
 
 
 def meanings(kind: type[Any]) -> dict[str, str]:
-    """Meaning of each parameter of a class, from its docstring, in one line."""
+    """Meaning of each parameter, or attribute, of a class, from its docstring, in one line."""
     # What a kind has of another stands there.
     text = inspect.cleandoc(kind.__doc__ or "")
     above = [one for one in kind.__mro__[1:-1] if is_dataclass(one)]
     found = {name: words for one in above for name, words in meanings(one).items()}
     found |= dict(re.findall(r"``(\w+)``: ([^;.]+)", text))
-    _, _, parameters = text.partition("Parameters\n----------\n")
-    for names, words in re.findall(
-        r"^([\w, ]+?) : (.*(?:\n    .*)*)", parameters.split("\n\n")[0], re.MULTILINE
-    ):
+    section = re.search(r"^(?:Parameters|Attributes)\n-{10}\n((?:.+\n?)*)", text, re.MULTILINE)
+    entries = section[1] if section else ""
+    for names, words in re.findall(r"^([\w, ]+?) : (.*(?:\n    .*)*)", entries, re.MULTILINE):
         found |= dict.fromkeys(names.split(", "), words)
     # The first sentence of each, on one line.
     said = {

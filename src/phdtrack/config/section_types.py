@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypedDict
+from typing import Literal, TypeAlias, TypedDict
 
 __all__ = [
     "AppearanceKind",
@@ -28,6 +28,7 @@ __all__ = [
     "ContoursSection",
     "DetectionScoresKind",
     "DetectionScoresSection",
+    "DetectorSection",
     "EmbeddingSection",
     "EncountersSection",
     "ExtractKind",
@@ -724,6 +725,145 @@ class EncountersSection(TypedDict, total=False):
     """Metres; groups that come closer have met. Above 0."""
 
 
+class DetectorSection(TypedDict, total=False):
+    """Settings of the section [detector]."""
+
+    false_alarm: float
+    """Share of unchanged pixels that may pass the test before clean-up. Above 0, below 1. For
+    detector change."""
+
+    window: int
+    """Side of the window W in pixels, odd. At least 1. For detector change."""
+
+    shadow: float
+    """Usual relative change of brightness by local light, towards dark and towards bright (one
+    standard deviation). Above 0. For detector change."""
+
+    glare: float
+    """Usual relative change of brightness by local light, towards dark and towards bright (one
+    standard deviation). Above 0. For detector change."""
+
+    chroma: float
+    """Usual change of colour by local light, grey levels (one standard deviation). Above 0. For
+    detector change."""
+
+    learn: float
+    """Seconds over which the first reference is learned; detections start with the second frame.
+    Above 0. For detector change."""
+
+    samples: int
+    """Frames of which the first reference is the median; odd. At least 1. For detector change."""
+
+    adapt: float
+    """change: Time constant in seconds with which the reference follows the background. Above 0.
+
+    mog2: Seconds over which the background is learned and forgotten (time constant). Above 0.
+    """
+
+    adapt_objects: float
+    """Seconds after which an object that does not move at all is a part of the scene. Above 0.
+    For detector change."""
+
+    peel: float
+    """Width of the border that is peeled from the foreground, fraction of the frame's height,
+    rounded to whole pixels; boxes are grown by it again. At least 0, below 1. For detector
+    change, mean-background, mog2."""
+
+    closing: float
+    """Height of gaps that are closed, fraction of the frame's height; gaps are closed up to a
+    third of this width. At least 0, below 1. For detector change, mean-background, mog2."""
+
+    min_area: float
+    """Smallest component after peeling, fraction of the frame's area. At least 0, below 1. For
+    detector change, mean-background, mog2."""
+
+    split: float
+    """Cut a component where its column profile falls to this fraction of the lower of the two
+    peaks beside it; 0: never. At least 0, below 1. For detector change, mean-background, mog2."""
+
+    join: float
+    """Join fragments one above the other over gaps up to this fraction of their common height;
+    0: never. At least 0, below 1. For detector change, mean-background, mog2."""
+
+    frames: int
+    """Number of frames whose mean is the background; nothing is detected in them. At least 1.
+    For detector mean-background."""
+
+    signed: bool
+    """True detects only what is darker than the background. For detector mean-background."""
+
+    smooth: float
+    """Standard deviation of the Gaussian low-pass in pixels; 0: no filter. At least 0. For
+    detector mean-background."""
+
+    threshold: float
+    """mean-background: Least difference in grey levels. Above 0.
+
+    mog2: Squared distance from the background, in variances. Above 0.
+
+    person: Least margin of the support vector machine.
+    """
+
+    warmup: float
+    """Seconds without detections at the beginning. At least 0. For detector mog2."""
+
+    scale: float
+    """face: Factor by which the frame is enlarged first, to find small faces. Above 0.
+
+    person: Factor by which the frame is enlarged first; people below 96 pixels in the enlarged
+    frame are not found. Above 0.
+    """
+
+    neighbours: int
+    """Overlapping hits that make a face. At least 1. For detector face."""
+
+    min_size: float
+    """Smallest face, fraction of the frame's height. From 0 to 1. For detector face."""
+
+    overlap: float
+    """person: Of two boxes with a larger intersection over union only the stronger one is kept.
+    From 0 to 1.
+
+    onnx:FILE: Of two boxes of one class with a larger intersection over union only the one with the
+    higher score is kept, unless the network does so itself; 1: both are kept. From 0 to 1.
+    """
+
+    confidence: float
+    """Least score. From 0 to 1. For detector onnx:FILE."""
+
+    classes: str
+    """Names or numbers of the classes to report, separated by commas; empty: all. For detector
+    onnx:FILE."""
+
+    layout: str
+    """Of the outputs, one of onnx_layouts.LAYOUTS, if the recognised one is wrong. For detector
+    onnx:FILE."""
+
+    pixels: str
+    """Unit (0 to 1), bytes (0 to 255), signed (-1 to 1) or imagenet (mean 0, deviation 1);
+    empty: unit, for DETR and RF-DETR imagenet, for YOLOX bytes with blue before red. For
+    detector onnx:FILE."""
+
+    bgr: bool
+    """The network takes blue before red; None: as usual for such networks. For detector
+    onnx:FILE."""
+
+    stretch: bool
+    """Stretch the frame to fill the input, without keeping its aspect; None: as usual for such
+    networks. For detector onnx:FILE."""
+
+    size: int
+    """Longer side of the input in pixels, if any is accepted; 0: as the metadata states, or 640.
+    At least 0. For detector onnx:FILE."""
+
+    batch: int
+    """Frames of a file per call, if the network accepts several. At least 1. For detector
+    onnx:FILE."""
+
+    threads: int
+    """Of the network; 0: all cores. At least 0. For detector onnx:FILE."""
+
+
 class EmbeddingSection(TypedDict, total=False):
     """Settings of the section [embedding]."""
 
@@ -839,6 +979,6 @@ class Sections(TrackerSections, total=False):
 
     filter: FilterSection
 
-    detector: Mapping[str, Any]
+    detector: DetectorSection
 
     embedding: EmbeddingSection

@@ -80,10 +80,19 @@ def detector_parameters(name: str) -> dict[str, Any]:
             cure = f"Use {_NETWORK}{name}"
         cure = export_cure(Path(name)) or cure
         raise InputError(f"there is no detector {name!r}", cure=cure)
-    known = {field.name: field.default for field in fields(_BUILD[name])}
-    if known.pop("blobs", None):
-        known |= {field.name: field.default for field in fields(ConnectedComponents)}
+    known = {field.name: field.default for one in detector_records(name) for field in fields(one)}
+    known.pop("blobs", None)
     return known
+
+
+def detector_records(name: str) -> tuple[type[Any], ...]:
+    """The dataclasses whose fields are the parameters of one of `DETECTORS`: its own, and that of
+    the clean-up if it has a mask.
+    """
+    own: type[Any] = _BUILD[name]
+    if "blobs" in own.__dataclass_fields__:
+        return own, ConnectedComponents
+    return (own,)
 
 
 def make_detector(
