@@ -1,4 +1,4 @@
-"""New cameras and current detectors: two presets and ten motion-only trackers, cross-validated over
+"""New cameras and current detectors: two presets and 18 motion-only trackers, cross-validated over
 groups.
 
 The sequences are those in the folder ``more`` of the real data (MOT17, MOT20, DanceTrack, KITTI,
@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -171,7 +172,78 @@ def peers_of_cases() -> list[Row]:
         for row in _read(bench() / "peers.csv")
         if row["name"] != "oracle" and row["seq"] in SEQUENCES.get(row["case"], ())
     ]
-    return [*_read(bench() / "peers_more.csv"), *old]
+    return [*_read(bench() / "peers_more.csv"), *newer_peers(), *old]
+
+
+def newer_peers() -> list[Row]:
+    """The newer peers' scores in every case of new cameras; a header that the file repeats is left
+    out.
+    """
+    return [row for row in _read(bench() / "peers_new.csv") if row["part"] != "part"]
+
+
+def peers_of_groups() -> list[Row]:
+    """The peers' scores in every group of new cameras; those of the newer ones by `pooled`.
+
+    A peer that lacks a case of a group has no row for it.
+    """
+    rows = _read(bench() / "peers_more_groups.csv")
+    cases = {row["group"]: int(row["cases"]) for row in rows}
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in newer_peers():
+        found.setdefault((row["group"], row["name"]), []).append(row)
+    for (group, name), those in found.items():
+        if len(those) == cases[group]:
+            scores = pooled(those, [true_boxes(row["sequence"]) for row in those])
+            values = {score: f"{value:.3f}" for score, value in scores.items()}
+            rows.append({"group": group, "name": name, **values})
+    return rows
+
+
+def pooled(rows: Sequence[Row], true: Sequence[int]) -> dict[str, float]:
+    """The scores of several cases together, from the scores and errors of each, in points.
+
+    MOTA and IDF1 are exact: their parts follow from the numbers of true boxes, misses and false
+    boxes. HOTA, whose parts are not known, is the mean weighted by the boxes of truth and tracks.
+
+    Parameters
+    ----------
+    rows : one for each case, with the scores and FP, FN and IDSW.
+    true : number of true boxes in each case.
+    """
+    errors = np.array([[float(row[key]) for key in ("FP", "FN", "IDSW")] for row in rows])
+    count = np.array(true, np.float64)
+    # Boxes of the truth and of the tracks, which are the true ones less the misses, and the false.
+    boxes = 2 * count - errors[:, 1] + errors[:, 0]
+    means = {
+        score: float(np.average([float(row[score]) for row in rows], weights=boxes))
+        for score in ("HOTA", "IDF1")
+    }
+    return {**means, "MOTA": 100 * float(1 - errors.sum() / count.sum())}
+
+
+def hota_errors(rows: Sequence[Row], groups: Sequence[Row]) -> list[float]:
+    """The errors of the HOTA of `pooled`, in points, for peers of which the exact one is known.
+
+    Parameters
+    ----------
+    rows : scores of cases.
+    groups : exact scores of groups, the number of cases in ``cases``; those that lack cases among
+        ``rows``, and ourselves, are left out.
+    """
+    found = []
+    for exact in groups:
+        those = [row for row in rows if all(row[k] == exact[k] for k in ("group", "name"))]
+        if len(those) == int(exact["cases"]) and not exact["name"].startswith(OURS):
+            scores = pooled(those, [true_boxes(row["sequence"]) for row in those])
+            found.append(scores["HOTA"] - float(exact["HOTA"]))
+    return found
+
+
+@cache
+def true_boxes(sequence: str) -> int:
+    """The number of boxes in the truth of a sequence that count."""
+    return int((~read_truth(folder_of(sequence) / "gt" / "gt.txt").distractor).sum())
 
 
 def best(peers: Sequence[Row]) -> list[float]:
@@ -277,7 +349,6 @@ def left_out(by_variant: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
 
 def main(options: Options) -> Path:
     """Track every case, score the rows, and write cameras.md."""
-    folder = bench()
     groups = _read(bench() / "groups.csv")
     names = [row["sequence"] for row in groups if not options.quick or row["sequence"] in SHORT]
     cases = [
@@ -290,7 +361,7 @@ def main(options: Options) -> Path:
     ]
     variants = SHOWN if options.quick else tuple(VARIANTS)
     peers = peers_of_cases()
-    of_groups = _read(folder / "peers_more_groups.csv")
+    of_groups = peers_of_groups()
     rows = dict[tuple[str, str], list[Row]]()
 
     def run(some: Sequence[str], outputs: Sequence[str], place: str) -> None:
@@ -369,6 +440,7 @@ def main(options: Options) -> Path:
         "cameras",
         options,
         cases=len(cases),
+        hota=_hota_error(),
         groups=table(
             [
                 "group",
@@ -389,6 +461,13 @@ def main(options: Options) -> Path:
         ),
         variants=table(["variant", *BEHIND, *chosen], compared),
     )
+
+
+def _hota_error() -> str:
+    """The largest error of a newer peer's HOTA of a group that is to be expected, in points."""
+    rows = _read(bench() / "peers_more.csv")
+    errors = hota_errors(rows, _read(bench() / "peers_more_groups.csv"))
+    return f"{max(abs(error) for error in errors):.1f}"
 
 
 def _cell(values: Sequence[float]) -> str:
