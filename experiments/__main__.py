@@ -58,7 +58,8 @@ EXPERIMENTS = {
         "comparison with widely used trackers; contributions of the parts of the default filter"
     ),
     "cameras": Experiment(
-        "new cameras and detectors, compared with other trackers, cross-validated over groups"
+        "new cameras and detectors, compared with other trackers, cross-validated over groups; and"
+        " synthetic cameras that nothing was chosen on"
     ),
     "degraded": Experiment(
         "the real sequences without scores, at a third of the rate, and with half of the"
@@ -117,7 +118,8 @@ def parser() -> argparse.ArgumentParser:
         "--seed",
         type=int,
         metavar="N",
-        help="seed of cases that are drawn at random (regimes); default: its own",
+        help="seed of cases that are drawn at random (regimes), or the first of them (cameras);"
+        " default: its own",
     )
     out.add_argument(
         "--only",

@@ -10,6 +10,10 @@ The preset ``mot15`` was chosen on MOT15. The default was chosen among its `VARI
 cross-validation estimates its effect elsewhere: each group is tracked with the variant that is best
 on the other groups, by the mean over groups of the mean distance of the online rows to the best
 peer.
+
+Synthetic cameras (`experiments.synthetic_cameras`), which nothing was chosen on, show what the
+default and its variants are worth elsewhere. Each is a group of its own, because each is drawn
+independently of the others: the error of their mean is that of independent cameras.
 """
 
 from __future__ import annotations
@@ -18,18 +22,23 @@ import csv
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Options, in_parallel, need_data, table, write
+from experiments.common import Options, in_parallel, need_data, table, without_warnings, write
 from experiments.peers import SEQUENCES, counted
+from experiments.synthetic_cameras import FINAL, KINDS, described, drawn, name_of, seed_of
+from experiments.synthetic_cases import DETECTOR, camera_case, peers_of_cameras, points
+from experiments.synthetic_detector import SCORE_LAWS
 from phdtrack import Tracker, Tracks
 from phdtrack.errors import InputError
 from phdtrack.formats import read_seqinfo, read_truth, write_tracks
 from phdtrack.metrics import evaluate
+from phdtrack.types import F8, I8, SequenceInfo
 
 SCORES = ("HOTA", "MOTA", "IDF1")
 OUTPUTS = ("online", "delayed", "corrected")
@@ -38,6 +47,10 @@ DELAY = 0.3
 # One short sequence of some groups, for the short form.
 SHORT = ("KITTI-0014-car", "GOWT1-01", "MOT17-09")
 OURS = ("pmb", "gm-phd", "phdtrack")
+# The peers that run on synthetic cameras, by their names on the real sequences.
+OF_TRACKERS = ("rf-sort", "rf-bytetrack", "rf-ocsort")
+# Cameras of the short form.
+FEW = 2
 Sets = Mapping[str, Mapping[str, object]]
 # The preset and the settings that differ from it.
 VARIANTS: Mapping[str, tuple[str, Sets]] = {
@@ -94,21 +107,33 @@ def folder_of(sequence: str) -> Path:
     return old if old.is_dir() else need_data() / "more" / sequence
 
 
+def boxes_of(sequence: str, detector: str) -> tuple[SequenceInfo, I8, F8]:
+    """A sequence, and the frames (M,) and boxes (M, 5) of a detector; (M, 4) without scores."""
+    if detector == DETECTOR:
+        case = camera_case(sequence)
+        found = case.table.detections
+        has_scores = bool((found.confidence < 1).any())
+        boxes = np.column_stack([found.xyxy, found.confidence]) if has_scores else found.xyxy
+        return case.info, case.table.frame, boxes
+    folder = folder_of(sequence)
+    rows = np.loadtxt(folder / f"det_{detector}" / "det.txt", delimiter=",", ndmin=2)
+    rows = rows[(rows[:, 4:6] > 0).all(axis=1)]
+    boxes = np.column_stack([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6], rows[:, 6]])
+    return read_seqinfo(folder), rows[:, 0].astype(np.int64), boxes
+
+
 def track(job: CameraRun) -> None:
     """Track one sequence; its rows go to RESULTS/VARIANT/OUTPUT/DETECTOR/SEQUENCE.txt."""
     variant, sequence, detector, results, delayed = job
     preset, sets = VARIANTS[variant]
-    folder = folder_of(sequence)
-    info = read_seqinfo(folder)
-    rows = np.loadtxt(folder / f"det_{detector}" / "det.txt", delimiter=",", ndmin=2)
-    rows = rows[(rows[:, 4:6] > 0).all(axis=1)]
-    boxes = np.column_stack([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6], rows[:, 6]])
+    info, frame, boxes = boxes_of(sequence, detector)
     late = {"output_delay": round(DELAY * info.fps) if delayed else 0}
     settings = {**sets, "associate": {**sets.get("associate", {}), **late}}
     tracker = Tracker((info.width, info.height), fps=info.fps, preset=preset, **settings)
     online = []
-    for number in range(1, info.frames + 1):
-        online.append(tracker.update(boxes[rows[:, 0] == number], frame=number))
+    with without_warnings():
+        for number in range(1, info.frames + 1):
+            online.append(tracker.update(boxes[frame == number], frame=number))
     online_rows = Tracks.concatenate([*online, tracker.flush()])
     made = (
         {"delayed": online_rows}
@@ -120,24 +145,37 @@ def track(job: CameraRun) -> None:
 
 
 def keep(tracks: Tracks, place: Path, output: str, sequence: str, detector: str) -> None:
-    """Keep the rows of one case for `scored`: those of new cameras, of MOT15 their scores."""
+    """Keep the rows of one case for `scored`: those of new cameras; of MOT15 and of synthetic
+    cameras their scores.
+    """
+    if detector == DETECTOR:
+        values = points(camera_case(sequence), tracks)
+        _keep_scores(place, output, sequence, sequence, detector, values)
+        return
     folder = folder_of(sequence)
     if folder.parent.name != "mot15":
         write_tracks(place / output / detector / f"{sequence}.txt", tracks)
         return
     truth = counted(read_truth(folder / "gt" / "gt.txt"))
     scores = evaluate(truth, tracks, frames=read_seqinfo(folder).frames)
-    values = [str(100 * getattr(scores, score)) for score in SCORES]
+    values = [str(100 * getattr(scores, name)) for name in SCORES]
+    _keep_scores(place, output, "MOT15", sequence, detector, values)
+
+
+def _keep_scores(
+    place: Path, output: str, group: str, sequence: str, detector: str, values: Sequence[str]
+) -> None:
+    """Write the scores of one case."""
     place.mkdir(parents=True, exist_ok=True)
-    text = ",".join(["MOT15", sequence, detector, *values])
+    text = ",".join([group, sequence, detector, *values])
     (place / f"{output}-{sequence}-{detector}.csv").write_text(text, encoding="utf-8")
 
 
 def scored(job: tuple[str, str, str]) -> list[Row]:
     """The scores of every case and of every group (whose sequence is ALL) of a variant's output.
 
-    New cameras are scored by the scorer in the folder next to the data. MOT15 was scored while
-    tracking; its group is the mean of its cases.
+    New cameras are scored by the scorer in the folder next to the data. MOT15 and synthetic cameras
+    were scored while tracking; the group MOT15 is the mean of its cases.
     """
     variant, output, place = job
     results = Path(place) / variant
@@ -150,14 +188,16 @@ def scored(job: tuple[str, str, str]) -> list[Row]:
             f"the scorer failed: {done.stderr.strip()[-300:]}", where=bench() / "score_more.py"
         )
     names = ("group", "sequence", "detector", *SCORES)
-    old = [
+    others = [
         dict(zip(names, file.read_text(encoding="utf-8").split(","), strict=True))
         for file in sorted(results.glob(f"{output}-*.csv"))
     ]
-    if not old:
-        return _read(kept)
-    mean = {score: str(np.mean([float(row[score]) for row in old])) for score in SCORES}
-    return [*_read(kept), *old, {"group": "MOT15", "sequence": "ALL", "detector": "ALL", **mean}]
+    rows = [*_read(kept), *others]
+    old = [row for row in others if row["group"] == "MOT15"]
+    if old:
+        mean = {name: str(np.mean([float(row[name]) for row in old])) for name in SCORES}
+        rows.append({"group": "MOT15", "sequence": "ALL", "detector": "ALL", **mean})
+    return rows
 
 
 def peers_of_cases() -> list[Row]:
@@ -347,120 +387,259 @@ def left_out(by_variant: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
     }
 
 
-def main(options: Options) -> Path:
-    """Track every case, score the rows, and write cameras.md."""
-    groups = _read(bench() / "groups.csv")
-    names = [row["sequence"] for row in groups if not options.quick or row["sequence"] in SHORT]
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraResults:
+    """The rows of all variants, and the peers' scores.
+
+    Attributes
+    ----------
+    rows : of real sequences, by variant and output.
+    synthetic : of synthetic cameras.
+    peers : of all cases.
+    """
+
+    rows: Mapping[tuple[str, str], Sequence[Row]]
+    synthetic: Mapping[tuple[str, str], Sequence[Row]]
+    peers: Sequence[Row]
+
+    def away(self, variant: str, output: str) -> dict[str, float]:
+        """For each real group the distance to the best peer."""
+        return distances(self.rows[variant, output], self.peers)
+
+    def synthetic_away(self, variant: str, output: str) -> dict[str, float]:
+        """For each synthetic camera the distance to the best peer."""
+        return distances(self.synthetic[variant, output], self.peers)
+
+    def chosen(self) -> dict[str, str]:
+        """For each real group the variant that is best on the other groups."""
+        names = {name for name, output in self.rows if output == "online" and name != "mot15"}
+        return left_out({name: self.away(name, "online") for name in VARIANTS if name in names})
+
+
+def real_cases(*, quick: bool) -> list[tuple[str, str]]:
+    """Sequence and detector of all real cases; a few in the short form."""
+    names = [row["sequence"] for row in _read(bench() / "groups.csv")]
     cases = [
         (name, det.name[4:])
         for name in names
+        if not quick or name in SHORT
         for det in sorted((need_data() / "more" / name).glob("det_*"))
     ]
-    cases += [
-        (name, kind) for kind, those in SEQUENCES.items() for name in those if not options.quick
-    ]
-    variants = SHOWN if options.quick else tuple(VARIANTS)
-    peers = peers_of_cases()
-    of_groups = peers_of_groups()
-    rows = dict[tuple[str, str], list[Row]]()
+    old = [(name, kind) for kind, those in SEQUENCES.items() for name in those]
+    return cases if quick else [*cases, *old]
+
+
+def measured(
+    cases: Sequence[tuple[str, str]], peers: Sequence[Row], options: Options
+) -> CameraResults:
+    """Track all cases with all variants, and with delay with those that are shown or chosen."""
+    found = dict[tuple[str, str], list[Row]]()
+
+    def results() -> CameraResults:
+        of_camera, of_real = (
+            {
+                key: [row for row in rows if (row["detector"] == DETECTOR) is synthetic]
+                for key, rows in found.items()
+            }
+            for synthetic in (True, False)
+        )
+        return CameraResults(of_real, of_camera, peers)
 
     def run(some: Sequence[str], outputs: Sequence[str], place: str) -> None:
         late = "delayed" in outputs
-        in_parallel(
-            track,
-            [(variant, *case, place, late) for variant in some for case in cases],
-            "cameras",
-            options,
-        )
-        scoring_jobs = [(variant, output, place) for variant in some for output in outputs]
-        rows.update(
-            zip(
-                [job[:2] for job in scoring_jobs],
-                in_parallel(scored, scoring_jobs, "scores", options),
-                strict=True,
-            )
-        )
+        jobs = [(variant, *case, place, late) for variant in some for case in cases]
+        in_parallel(track, jobs, "cameras", options)
+        scoring = [(variant, output, place) for variant in some for output in outputs]
+        rows = in_parallel(scored, scoring, "scores", options)
+        found.update(zip([job[:2] for job in scoring], rows, strict=True))
 
     with tempfile.TemporaryDirectory() as place:
-        run(variants, ("online", "corrected"), place)
-        away = {
-            output: {name: distances(rows[name, output], peers) for name in variants}
-            for output in BEHIND
-        }
-        chosen = left_out({name: away["online"][name] for name in variants if name != "mot15"})
+        run(SHOWN if options.quick else tuple(VARIANTS), ("online", "corrected"), place)
+        chosen = results().chosen()
         run(sorted({*SHOWN, *chosen.values()}), ("delayed",), place)
-    kept: dict[tuple[str, str], list[Row]] = {
-        (name, output): rows[name, output] for name in SHOWN for output in OUTPUTS
-    }
+    return results()
+
+
+def main(options: Options) -> Path:
+    """Track every case, score the rows, and write cameras.md."""
+    first = FINAL[0] if options.seed is None else options.seed
+    seeds = range(first, first + (FEW if options.quick else len(FINAL)))
+    cases = real_cases(quick=options.quick)
+    synthetic = peers_of_cameras(seeds, options)
+    theirs = [{**row, "detector": DETECTOR} for row in synthetic]
+    all_cases = [*cases, *((name_of(seed), DETECTOR) for seed in seeds)]
+    results = measured(all_cases, [*peers_of_cases(), *theirs], options)
+    kept = shown_rows(results)
+    return write(
+        "cameras",
+        options,
+        cases=len(cases),
+        hota=_hota_error(),
+        groups=groups_table(results, kept),
+        won=won_table(kept, results.peers),
+        behind=table(
+            ["rows", "group", "case", "score", "default", "best peer"],
+            behind(kept, results.peers),
+        ),
+        variants=variants_table(results),
+        cameras=len(seeds),
+        seeds=f"{seeds[0]} to {seeds[-1]}",
+        gap=gap_table(results),
+        laws=laws_table(results),
+        synthetic=synthetic_table(results),
+        unproved=", ".join(unproved(results)) or "none",
+    )
+
+
+def shown_rows(results: CameraResults) -> dict[tuple[str, str], Sequence[Row]]:
+    """The rows of the shown variants, and as ``left out`` those of the chosen ones."""
+    kept = {(name, output): results.rows[name, output] for name in SHOWN for output in OUTPUTS}
     for output in OUTPUTS:
         kept["left out", output] = [
             row
-            for group, name in chosen.items()
-            for row in rows[name, output]
+            for group, name in results.chosen().items()
+            for row in results.rows[name, output]
             if row["group"] == group
         ]
+    return kept
+
+
+def groups_table(results: CameraResults, kept: Mapping[tuple[str, str], Sequence[Row]]) -> str:
+    """The scores of each group beside the best peer's."""
+    of_groups = peers_of_groups()
+    shown = [(name, "online") for name in SHOWN]
+    shown += [("default", output) for output in OUTPUTS[1:]]
     lines = []
-    for group in chosen:
+    for group, chosen in results.chosen().items():
         known = [row for row in of_groups if row["group"] == group]
         cells = [_cell(best(known))] if known else ["-"]
-        for name, output in [
-            *((name, "online") for name in SHOWN),
-            *(("default", output) for output in OUTPUTS[1:]),
-        ]:
-            (row,) = (row for row in _groups(kept[name, output]) if row["group"] == group)
-            cells.append(_cell([float(row[score]) for score in SCORES]))
-        cells += [f"{away['online'][name][group]:+.1f}" for name in SHOWN]
-        lines.append([group, *cells, chosen[group]])
-    won = []
+        for key in shown:
+            (row,) = (row for row in _groups(kept[key]) if row["group"] == group)
+            cells.append(_cell([float(row[name]) for name in SCORES]))
+        cells += [f"{results.away(name, 'online')[group]:+.1f}" for name in SHOWN]
+        lines.append([group, *cells, chosen])
+    header = ["group", "best peer", "mot15", "default", "default, 0.3 s later"]
+    header += ["default, corrected", "mot15 away", "default away", "variant left out"]
+    return table(header, lines)
+
+
+def won_table(kept: Mapping[tuple[str, str], Sequence[Row]], peers: Sequence[Row]) -> str:
+    """The numbers of pairs won, and the mean distances."""
+    lines = []
     for (name, output), found in kept.items():
         new, old = (
             [row for row in found if (row["group"] == "MOT15") is is_old]
             for is_old in (False, True)
         )
         mean = np.mean(list(distances(found, peers).values()))
-        won.append(
-            [
-                name,
-                output,
-                "{} of {}".format(*pairs_won(new, peers)),
-                "{} of {}".format(*pairs_won(old, peers)),
-                f"{mean:+.1f}",
-            ]
-        )
-    compared = []
-    for name in variants:
-        changes = [difference(away[output][name], away[output]["default"]) for output in BEHIND]
-        cells = [
-            "" if name == "default" else f"{mean:+.2f} ± {error:.2f}" for mean, error in changes
-        ]
-        compared.append(
-            [name, *cells, *(f"{value:+.1f}" for value in away["online"][name].values())]
-        )
-    return write(
-        "cameras",
-        options,
-        cases=len(cases),
-        hota=_hota_error(),
-        groups=table(
-            [
-                "group",
-                "best peer",
-                "mot15",
-                "default",
-                "default, 0.3 s later",
-                "default, corrected",
-                "mot15 away",
-                "default away",
-                "variant left out",
-            ],
-            lines,
-        ),
-        won=table(["values", "rows", "new cameras", "MOT15", "mean distance"], won),
-        behind=table(
-            ["rows", "group", "case", "score", "default", "best peer"], behind(kept, peers)
-        ),
-        variants=table(["variant", *BEHIND, *chosen], compared),
-    )
+        pairs = ["{} of {}".format(*pairs_won(rows, peers)) for rows in (new, old)]
+        lines.append([name, output, *pairs, f"{mean:+.1f}"])
+    return table(["values", "rows", "new cameras", "MOT15", "mean distance"], lines)
+
+
+def changes(results: CameraResults, name: str) -> list[tuple[float, float]]:
+    """The changes of the mean distance by a variant, with errors: of online and of corrected rows
+    of the real groups, then of the synthetic cameras.
+    """
+    found = []
+    for away in (results.away, results.synthetic_away):
+        found += [difference(away(name, output), away("default", output)) for output in BEHIND]
+    return found
+
+
+def variants_table(results: CameraResults) -> str:
+    """The changes by each variant, and its distance in each group."""
+    names = [name for name in VARIANTS if (name, "online") in results.rows]
+    groups = list(results.away("default", "online"))
+    lines = []
+    for name in names:
+        cells = [_with_error(change) for change in changes(results, name)]
+        if name == "default":
+            cells = [""] * len(cells)
+        away = [f"{value:+.1f}" for value in results.away(name, "online").values()]
+        lines.append([name, *cells, *away])
+    outputs = [*BEHIND, *(f"synthetic, {output}" for output in BEHIND)]
+    return table(["variant", *outputs, *groups], lines)
+
+
+def unproved(results: CameraResults) -> list[str]:
+    """The variants whose changes are within their errors on real groups and synthetic cameras."""
+    return [
+        name
+        for name in VARIANTS
+        if (name, "online") in results.rows
+        and name not in SHOWN
+        and all(abs(mean) <= error for mean, error in changes(results, name))
+    ]
+
+
+def gap_table(results: CameraResults) -> str:
+    """The mean distance of the default on the real groups and on synthetic cameras, and how much
+    smaller it is there.
+    """
+    three = [row for row in results.peers if row["name"] in OF_TRACKERS or _is_synthetic(row)]
+    # MOT15 has the same peers by the same names.
+    lines = []
+    for output in OUTPUTS:
+        rows = results.rows["default", output]
+        of_all = mean_of(distances(rows, results.peers).values())
+        of_three = mean_of(distances(rows, three).values())
+        there = mean_of(results.synthetic_away("default", output).values())
+        gap = (there[0] - of_three[0], float(np.hypot(there[1], of_three[1])))
+        won = "{} of {}".format(*pairs_won(results.synthetic["default", output], results.peers))
+        cells = [_with_error(value) for value in (of_all, of_three, there, gap)]
+        lines.append([output, *cells, won])
+    header = ["rows", "real groups, all peers", "real groups, three peers"]
+    return table([*header, "synthetic, three peers", "gap", "pairs won, synthetic"], lines)
+
+
+def synthetic_table(results: CameraResults) -> str:
+    """The scores on each synthetic camera beside the best peer's, and what it shows."""
+    lines = []
+    online, corrected = (results.synthetic["default", output] for output in BEHIND)
+    for row, final in zip(online, corrected, strict=True):
+        those = [p for p in results.peers if p["sequence"] == row["sequence"]]
+        values = [[float(one[name]) for name in SCORES] for one in (row, final)]
+        away = results.synthetic_away("default", "online")[row["sequence"]]
+        cells = [_cell(best(those)), *(_cell(one) for one in values), f"{away:+.1f}"]
+        seed = seed_of(row["sequence"])
+        lines.append((seed, [seed, *cells, described(*drawn(seed))]))
+    header = ["seed", "best peer", "default", "default, corrected", "away", "camera"]
+    return table(header, [cells for _, cells in sorted(lines, key=lambda line: line[0])])
+
+
+def laws_table(results: CameraResults) -> str:
+    """The mean distance on synthetic cameras by what they show, and by the law of the scores."""
+    titles = {law: f"{law} scores" for law in SCORE_LAWS} | {"none": "no scores"}
+    cameras: dict[str, list[str]] = {name: [] for name in (*KINDS, *titles.values())}
+    for row in results.synthetic["default", "online"]:
+        world, law = drawn(seed_of(row["sequence"]))
+        cameras[world.kind].append(row["sequence"])
+        cameras[titles[law.scores]].append(row["sequence"])
+    away = {output: results.synthetic_away("default", output) for output in OUTPUTS}
+    lines = []
+    for name, those in cameras.items():
+        if those:
+            means = [mean_of(away[output][one] for one in those) for output in OUTPUTS]
+            lines.append([name, len(those), *(_with_error(mean) for mean in means)])
+    return table(["cameras with", "number", *OUTPUTS], lines)
+
+
+def mean_of(values: Iterable[float]) -> tuple[float, float]:
+    """The mean, and its standard error; 0 for a single value."""
+    array = np.array([*values])
+    if len(array) < 2:
+        return float(array.mean()), 0.0
+    return float(array.mean()), float(array.std(ddof=1) / np.sqrt(len(array)))
+
+
+def _is_synthetic(row: Row) -> bool:
+    return row["detector"] == DETECTOR
+
+
+def _with_error(value: tuple[float, float]) -> str:
+    mean, error = value
+    return f"{mean:+.2f} ± {error:.2f}"
 
 
 def _hota_error() -> str:
