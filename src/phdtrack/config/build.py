@@ -30,6 +30,8 @@ Size = tuple[float, float]
 # The share of the weight of a person just missed that a Gaussian must have to count as one: E13's
 # 0.25 of 0.297.
 _MISSED = 0.84
+# The kinds of extraction whose weights are the probability that a target exists.
+_EXISTENCE = ("bernoullis", "hypotheses")
 
 
 def build(
@@ -63,7 +65,8 @@ def build(
     model = _model(settings, size, info.fps)
     if scene is not None:
         model = _with_scene(model, scene)
-    smoother = settings.build("smooth", frame_size=size)
+    existence = settings.kind("filter") != "none" and settings.kind("extract") in _EXISTENCE
+    smoother = settings.build("smooth", frame_size=size, existence=existence)
     time = settings.build("time")
     associator = _associator(settings, scene)
     filter_ = settings.build("filter", frame_size=size)

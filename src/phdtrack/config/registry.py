@@ -38,8 +38,8 @@ LIMITS: Mapping[str, Mapping[str, int]] = {
 }
 # The sections whose kinds decide those of others.
 DECIDING = ("motion", "filter")
-# Fields that come from the sequence.
-_FROM_SEQUENCE = {"frame_size", "camera", "hiders", "borders", "volume"}
+# Fields that come from the sequence, or from the other parts of a tracker.
+_FROM_SEQUENCE = {"frame_size", "camera", "hiders", "borders", "volume", "existence"}
 # Fields that are mixtures of Gaussians, which a user gives as `Places`.
 MIXTURES = ("places", "initial")
 

@@ -19,6 +19,7 @@ from phdtrack.smooth.parting import parted
 from phdtrack.smooth.paths import Paths, paths_of
 from phdtrack.smooth.sequence import Sequence, Smoothed
 from phdtrack.smooth.stitching import Stitching, returns, stitched
+from phdtrack.smooth.vanished import without_vanished
 from phdtrack.types import I8, Bool, MeasurementHistory, Tracks
 
 # A side is cut by the border of the picture if it is this near, in widths or heights of the box.
@@ -50,6 +51,8 @@ class Smoothing:
         track uses, at most; 0: never.
     frame_size : width and height of the picture, pixels: parts of a box outside are not expected to
         be detected.
+    existence : confidences are the probability that there is a target: drop tracks that end as no
+        target does (`smooth.vanished`).
     """
 
     stitching: bool = True
@@ -64,6 +67,7 @@ class Smoothing:
     min_extent: NonNegative = 0.0
     max_continuation: NonNegative = 0.0
     frame_size: tuple[float, float] = (math.inf, math.inf)
+    existence: bool = False
 
     def __post_init__(self) -> None:
         check(self)
@@ -76,7 +80,7 @@ class Smoothing:
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
         """The tracks, stitched and smoothed."""
         out = tracks
-        if self.stitching or self.smoothing:
+        if self.stitching or self.smoothing or self.existence:
             paths = paths_of(tracks, measurements)
             if len(paths):
                 out = self._corrected(tracks, paths, measurements, model)
@@ -101,6 +105,8 @@ class Smoothing:
             paths, states = stitched(paths, sequence, settings)
         else:
             states = sequence.smooth(paths)
+        if self.existence:
+            tracks, paths, states = without_vanished(tracks, paths, states, sequence)
         if self.noise_by_track:
             states = sequence.smooth(paths, sequence.fitting(paths))
         out = _rows(tracks, paths, states, measurements, model, self)

@@ -1,0 +1,153 @@
+"""Tracks that end as no target does: the odds by their definition, and what is left out."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from smoothing_cases import HEIGHT, WIDTH, model_of, piece, sequence, walk
+
+from phdtrack.smooth.paths import paths_of
+from phdtrack.smooth.sequence import Sequence
+from phdtrack.smooth.smoothing import Smoothing
+from phdtrack.smooth.vanished import (
+    FLATTERY,
+    REPEATED,
+    Endings,
+    ending_likelihood,
+    target_probability,
+)
+from phdtrack.types import Tracks
+
+MODEL = model_of()
+RATE = MODEL.rate
+
+
+def confident(tracks: Tracks, confidence: list[float]) -> Tracks:
+    """The tracks with these confidences by identity, from 1."""
+    return replace(tracks, confidence=np.array(confidence)[tracks.identity - 1])
+
+
+def left(pieces, confidence: list[float], frames: int = 120) -> set[tuple[float, ...]]:
+    """The rounded confidences of the tracks that are left."""
+    tracks, measured = sequence(pieces, frames, MODEL)
+    smoothing = Smoothing(existence=True, frame_size=(WIDTH, HEIGHT))
+    rows = smoothing.smooth(confident(tracks, confidence), measured, MODEL)
+    return {round(float(each), 4) for each in rows.confidence}
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.floats(0.01, 2.0), min_size=0, max_size=6),
+    st.floats(0.01, 0.99),
+    st.floats(0.001, 3.0),
+)
+def test_likelihood_is_the_sum_over_all_ways_to_end(
+    intervals: list[float], missed: float, rate: float
+):
+    ways = 0.0
+    inside = 0.0
+    for vanishes_at in range(len(intervals) + 1):
+        chance = 1.0
+        for k, interval in enumerate(intervals[: vanishes_at + 1]):
+            stays = np.exp(-rate * interval)
+            chance *= 1 - stays if k == vanishes_at else stays * missed
+        ways += chance
+        inside += chance if vanishes_at < len(intervals) else 0.0
+    column = np.zeros((8, 1))
+    column[: len(intervals), 0] = intervals
+    one = np.ones(1)
+    likelihood, vanished = ending_likelihood(Endings(column, missed * one, one, one), rate)
+    assert likelihood == pytest.approx([ways])
+    assert vanished == pytest.approx([inside / ways])
+
+
+def test_probabilities_are_right_for_simulated_tracks():
+    """Of the tracks with probability p the share p are targets, and their rate is found."""
+    rng = np.random.default_rng(4)
+    count = 40_000
+    rate = 0.4
+    interval = 0.02
+    missed = 0.3
+    true = rng.random(count) < 0.7
+    life = rng.exponential(1 / rate, count)
+    record = rng.uniform(0.0, 8.0, count)
+    stops = rng.geometric(1 / REPEATED, count)
+    unseen = (rng.geometric(1 - missed, count) - 1) * interval
+    seen = np.maximum(np.minimum(life, record) - unseen, 0.0)
+    lasted = np.where(true, seen, stops * interval)
+    detected = np.where(true, lasted / interval, stops)
+    n = np.where(true, np.maximum(record - lasted, 0.0) / interval, 1e6)
+    intervals = np.where(np.arange(50)[:, None] < np.minimum(n, 50).astype(int), interval, 0.0)
+    # What a filter knows before the end is known: the prior, the life of targets, and evidence.
+    known = np.log(0.7 / 0.3) - rate * lasted + np.where(true, 2.0, -2.0) + rng.normal(0, 2, count)
+    claimed = 1 / (1 + np.exp(-known - np.log(FLATTERY)))
+    endings = Endings(intervals, np.full(count, missed), detected, lasted)
+    probability, found = target_probability(claimed, endings, 0.075)
+    assert found == pytest.approx(rate, rel=0.1)
+    for low, high in itertools.pairwise((0.02, 0.2, 0.4, 0.6, 0.8, 0.98)):
+        here = (probability >= low) & (probability < high)
+        error = 0.5 / np.sqrt(here.sum())
+        assert here.sum() > 200
+        assert true[here].mean() == pytest.approx(probability[here].mean(), abs=0.03 + 4 * error)
+
+
+def test_a_track_that_was_never_sure_and_stops_in_view_is_left_out(rng):
+    sure = piece(walk(rng, 120, (200, 200), (1, 0)), 1, (1, 120))
+    brief = piece(walk(rng, 12, (400, 300), (1, 0)), 40, (40, 51))
+    assert left([sure, brief], [0.9999, 0.9]) == {0.9999}
+
+
+@pytest.mark.parametrize(
+    ("begin", "velocity", "first", "confidence"),
+    [
+        ((500, 300), (1, 0), 109, 0.9),  # the record ends
+        ((545, 300), (9, 0), 40, 0.9),  # it leaves the picture
+        ((400, 300), (1, 0), 40, 0.99999),  # it was sure
+    ],
+)
+def test_what_a_target_may_do_is_no_reason(rng, begin, velocity, first, confidence):
+    sure = piece(walk(rng, 120, (200, 200), (1, 0)), 1, (1, 120))
+    brief = piece(walk(rng, 12, begin, velocity), first, (first, first + 11))
+    assert left([sure, brief], [0.999999, confidence]) == {1.0, round(confidence, 4)}
+
+
+def test_a_long_track_of_a_weak_detector_stays(rng):
+    """Fifty detections in a row are no coincidence, even if none of them was convincing."""
+    sure = piece(walk(rng, 120, (200, 200), (1, 0)), 1, (1, 120))
+    weak = piece(walk(rng, 80, (300, 300), (1, 0)), 10, (10, 89))
+    assert left([sure, weak], [0.9999, 0.9]) == {0.9999, 0.9}
+
+
+def test_confidences_that_are_no_probabilities_decide_nothing(rng):
+    brief = piece(walk(rng, 12, (400, 300), (1, 0)), 40, (40, 51))
+    sure = piece(walk(rng, 120, (200, 200), (1, 0)), 1, (1, 120))
+    tracks, measured = sequence([sure, brief], 120, MODEL)
+    rows = Smoothing(frame_size=(WIDTH, HEIGHT)).smooth(
+        confident(tracks, [0.9999, 0.9]), measured, MODEL
+    )
+    assert len(np.unique(rows.identity)) == 2
+
+
+def test_all_tracks_may_be_left_out(rng):
+    brief = piece(walk(rng, 6, (400, 300), (1, 0)), 40, (40, 45))
+    tracks, measured = sequence([brief], 120, MODEL)
+    smoothing = Smoothing(existence=True, frame_size=(WIDTH, HEIGHT))
+    assert len(smoothing.smooth(confident(tracks, [0.6]), measured, MODEL)) == 0
+
+
+def test_states_of_other_tracks_are_unchanged(rng):
+    sure = piece(walk(rng, 120, (200, 200), (1, 0)), 1, (1, 120))
+    brief = piece(walk(rng, 12, (400, 300), (1, 0)), 40, (40, 51))
+    tracks, measured = sequence([sure, brief], 120, MODEL)
+    tracks = confident(tracks, [0.9999, 0.9])
+    size = (WIDTH, HEIGHT)
+    with_it = Smoothing(frame_size=size).smooth(tracks, measured, MODEL)
+    without = Smoothing(existence=True, frame_size=size).smooth(tracks, measured, MODEL)
+    kept = with_it.select(with_it.confidence > 0.99)
+    assert np.array_equal(kept.frame, without.frame)
+    assert np.allclose(kept.xyxy, without.xyxy)
+    assert len(paths_of(without, measured)) == 1
+    assert len(Sequence.of(measured, MODEL).boxes) == measured.z.shape[1]
