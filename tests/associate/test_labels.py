@@ -130,6 +130,22 @@ def test_confirmed_online_as_soon_as_what_follows_shows_it():
     assert run(PLAIN, taken).emitted[3].confirmed.tolist() == [True]
 
 
+@pytest.mark.parametrize(
+    ("deviation", "weight", "rows"),
+    [(2.0, 1.0, 7), (60.0, 1.0, 6), (2.0, 0.45, 6), (8.0, 0.9, 7), (8.0, 0.6, 6)],
+)
+def test_a_gap_has_rows_where_the_target_is_more_probably_than_not(deviation, weight, rows):
+    """Whether it exists, and whether its box of 40 pixels is where it is drawn."""
+    frames = [seen((1, 10.0 + 5 * k)) for k in range(7)]
+    missed = seen((1, 25.0, -1), weight=[weight])
+    covariance = missed.covariance.copy()
+    covariance[:, [0, 1], [0, 1]] = deviation**2
+    frames[3] = replace(missed, covariance=covariance)
+    online = run(replace(PLAIN, output_delay=2, max_coast=0.5), frames).online
+    assert len(online) == rows
+    assert online.predicted.sum() == rows - 6
+
+
 def test_of_states_with_one_label_the_heaviest_stands():
     frames = [seen((1, 10.0), (1, 50.0), (2, 99.0), weight=[0.4, 0.9, 0.5]) for _ in range(4)]
     result = run(PLAIN, frames)

@@ -1,0 +1,40 @@
+"""How probably the box of a target that was not detected lies on the target."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phdtrack.kernels.coasting import overlap_probability
+from phdtrack.protocols import Model
+from phdtrack.types import F8
+
+# Measurements with so many rows are boxes; others have no size that says when two are the same.
+_OF_BOXES = 4
+
+
+def on_target(model: Model, state: F8, covariance: F8) -> F8:
+    """(n,) the probability that the box of each state overlaps that of its target by half or more.
+
+    Only the place is uncertain, as its size changes slowly; 1 where boxes are not measured.
+
+    Parameters
+    ----------
+    model : whose sensor draws the boxes.
+    state, covariance : (d, n), (n, d, d); the first two components are the place.
+    """
+    n = state.shape[1]
+    if len(model.sensor.observed) < _OF_BOXES:
+        return np.ones(n)
+    boxes = model.sensor.boxes(state)
+    size = np.maximum(boxes[:, 2:] - boxes[:, :2], 1e-9)
+    variance = np.zeros((n, 2))
+    for axis in range(2):
+        moved = state.copy()
+        moved[axis] += np.sqrt(covariance[:, axis, axis])
+        shift = model.sensor.boxes(moved) - boxes
+        variance += np.square((shift[:, :2] + shift[:, 2:]) / (2 * size))
+    deviation = np.sqrt(variance)
+    out: F8 = overlap_probability(
+        np.ascontiguousarray(deviation[:, 0]), np.ascontiguousarray(deviation[:, 1])
+    )
+    return out
