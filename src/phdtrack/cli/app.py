@@ -24,30 +24,23 @@ from typer.core import TyperCommand
 from phdtrack import __version__
 from phdtrack.addresses import shown
 from phdtrack.cli import signals
+from phdtrack.cli.help_pages import HelpfulCommand, HelpfulGroup, command_lines
 from phdtrack.cli.output import use_replacements
 from phdtrack.errors import InputError, absent, interrupted
 
 Command = Callable[..., None]
 
-# What each command does. Its module, of the same name except `_MODULES`, is loaded when it is run.
+# What each command does, in the order of work. Its module, of the same name except `_MODULES`, is
+# loaded when it is run.
 COMMANDS = {
-    "live": "Track cameras without end: events, rows and videos by the hour, and a page.",
     "demo": "Render a street and track the people in it, with the filter and without.",
     "track": "Track the objects in a video, or in a file of detections.",
-    "batch": (
-        "Track many videos: by processes, the jobs of an array, or a Ray cluster, into one data"
-        " set."
-    ),
-    "groups": "Find groups of people on the ground, in a video or in a file of detections.",
     "count": (
         "Count who crosses lines and who is in zones: in a video, in a run, or among tracks in a"
         " file."
     ),
-    "export": "Write the tracks of a run, or of a file, in the format of another tool.",
-    "detect": "Detect objects in a video and write detections.csv, a MOTChallenge file.",
     "evaluate": "Score tracks against annotated objects.",
     "compare": "Compare filters: one table, with confidence intervals over seeds.",
-    "simulate": "Simulate a scene: truth, detections of it, and a video.",
     "label": (
         "Mark false detections, missed objects and births on frames drawn at random: the page says"
         " how."
@@ -59,7 +52,16 @@ COMMANDS = {
         "Make a camera of four or more points of flat ground, and report how well it fits each of"
         " them."
     ),
+    "groups": "Find groups of people on the ground, in a video or in a file of detections.",
+    "live": "Track cameras without end: events, rows and videos by the hour, and a page.",
+    "batch": (
+        "Track many videos: by processes, the jobs of an array, or a Ray cluster, into one data"
+        " set."
+    ),
+    "detect": "Detect objects in a video and write detections.csv, a MOTChallenge file.",
+    "export": "Write the tracks of a run, or of a file, in the format of another tool.",
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
+    "simulate": "Simulate a scene: truth, detections of it, and a video.",
 }
 # Seconds after which a thread gives the interpreter to one that waits: the threads of a run need it
 # often, each time briefly.
@@ -78,6 +80,7 @@ def application(name: str) -> typer.Typer:
     """The command line with the command ``name`` loaded, and the other commands' help."""
     app = typer.Typer(
         name="phdtrack",
+        cls=HelpfulGroup,
         help=_SUMMARY,
         # Plain text: an error is one line that a program can find and a terminal does not break.
         rich_markup_mode=None,
@@ -88,7 +91,7 @@ def application(name: str) -> typer.Typer:
     for each, what in COMMANDS.items():
         if each == name:
             module = import_module(f"phdtrack.cli.{_MODULES.get(name, name)}")
-            app.command(each, cls=_Passing if each == "batch" else None)(
+            app.command(each, cls=_Passing if each == "batch" else HelpfulCommand)(
                 with_options(guarded(getattr(module, each)))
             )
         else:
@@ -98,6 +101,9 @@ def application(name: str) -> typer.Typer:
 
 class _Passing(TyperCommand):
     """A command that finds what follows ``--`` in ``args`` of its context."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        formatter.write("\n".join(command_lines(self, ctx)) + "\n")
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if "--" in args:
@@ -189,10 +195,10 @@ def _record(record: Any, values: dict[str, Any]) -> Any:
     )
 
 
-def parser(command: Command) -> Any:
-    """The command alone, to be called with words of a command line."""
+def parser(command: Command, name: str) -> Any:
+    """The command alone, to be called with words of a command line, with the help of ``name``."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    app.command()(with_options(command))
+    app.command(name, cls=HelpfulCommand)(with_options(command))
     return typer.main.get_command(app)
 
 

@@ -24,13 +24,13 @@ from phdtrack.report import write_run
 from phdtrack.run.requests import RunRequest
 from phdtrack.run.video_batch import DOCUMENT, ROWS, BatchPlan, BatchVideo, left_out
 
-_SOURCES = "Videos, folders and patterns of them, files of detections, @FILE for a list of these."
+_SOURCES = "Videos, folders, patterns in quotes, files of detections; @FILE: a list of them."
 _ENGINE = "Processes of this machine, or a Ray cluster, which has the same files."
 _SEGMENT = (
-    "Cut longer videos into segments of about this length, as 10m or 90s, each a task; the tracks"
-    " are joined."
+    "Cut longer videos into segments of about this length, as 10m or 90s, and join their tracks."
+    " Default: videos stay whole."
 )
-_OVERLAP = "Overlap of two segments, in which their identities are matched."
+_OVERLAP = "Overlap of two segments, in which their identities are matched. Default: 20s."
 _AGAIN = "Re-run videos whose options or files changed; restart incomplete ones."
 Result = dict[str, Any]
 
@@ -48,7 +48,7 @@ class Workers:
     """Processes or a cluster that run the videos."""
 
     jobs: Annotated[
-        int, option("N", "Videos at once; 0: one per core, or what a cluster has.", min=0)
+        int, option("N", "Videos at once. Default: one per core, or what the cluster has.", min=0)
     ] = 0
     engine: Annotated[
         str, option("local|ray", _ENGINE, callback=lambda value: one_of(value, "local", "ray"))
@@ -73,7 +73,9 @@ def batch(
     output: Output,
     cutting: Cutting,
     workers: Workers,
-    out: Annotated[Path, option("DIR", "Where runs, tracks and the summary are kept.")],
+    out: Annotated[
+        Path, option("DIR", "Directory for the runs, the tracks of all, and the summary.")
+    ],
     shard: Annotated[
         str, option("I/N", "Only the I-th of N shares of the videos, for job arrays; I from 1.")
     ] = "",
@@ -262,13 +264,15 @@ def track_request(words: Iterable[str]) -> RunRequest:
     requests = list[RunRequest]()
 
     def keep(request: RunRequest, output: Output, max_file_size: given.MaxFileSize = "") -> None:
+        """Track each video of the batch with these options."""
         requests.append(request)
 
     try:
-        parser(keep)(list(words), prog_name="phdtrack track", standalone_mode=False)
+        parser(keep, "track")(list(words), prog_name="phdtrack track", standalone_mode=False)
     except Misuse as error:
         cure = "See phdtrack track --help."
         raise InputError(error.format_message(), where="after --", cure=cure) from None
     if not requests:
-        raise InputError("expected options of phdtrack track", where="after --")
+        # Their help has been printed.
+        raise typer.Exit
     return requests[0]

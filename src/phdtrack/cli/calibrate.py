@@ -29,16 +29,24 @@ LIMIT = 100.0
 def calibrate(
     points: Annotated[
         Path,
-        typer.Argument(metavar="POINTS", help="Lines of u v X Y: pixels, metres on the ground."),
+        typer.Argument(
+            metavar="POINTS",
+            help="A file with a line u v X Y for each point: its pixel, and metres.",
+        ),
     ],
     output: Output,
-    out: Annotated[Path, option("FILE", "Where to write the camera.")] = Path("camera.toml"),
+    out: Annotated[Path, option("FILE", "Camera file to write.")] = Path("camera.toml"),
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace an existing camera file.")
     ] = False,
     image_size: Annotated[
         str,
-        option("WxH", "Frames' size: no point may lie outside.", "--image-size", "--frame-size"),
+        option(
+            "WxH",
+            "Size of the frames in pixels: no point may lie outside.",
+            "--image-size",
+            "--frame-size",
+        ),
     ] = "",
 ) -> None:
     """Make a camera of four or more points of flat ground, and report how well it fits each.

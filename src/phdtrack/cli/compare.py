@@ -45,12 +45,13 @@ FILES = {
 }
 MOST_WARNINGS = 12
 _VARIANT = (
-    "Another method, as few=filter.history=5,preset=m09: the first filter with these settings. May"
-    " be given again."
+    "Another method, as few=filter.history=5,preset=m09: the first filter with these settings."
+    " Repeatable."
 )
+_SETS = "Sets of the folders, or files with {} in place of the sequence. Default: all sets."
 _LOOKS = (
-    "What the boxes look like, read from the pictures: colours, onnx:FILE, or none (default:"
-    f" {DEFAULT_APPEARANCE})."
+    "What boxes look like, read from the pictures: colours, onnx:FILE, or none. Default:"
+    f" {DEFAULT_APPEARANCE}."
 )
 
 
@@ -59,21 +60,17 @@ class PlanOptions:
     """Options of what to compare on the sequences."""
 
     filters: Annotated[
-        str, option("NAME,...", "The first is what others are compared to; default: pmb,none.")
+        str, option("NAMES", "Others are compared to the first one. Default: pmb,none.")
     ] = ""
     detections: Annotated[
         str,
-        option(
-            "NAME|FILE,...", "Sets of the folders, or files, {} for the sequence; default: all."
-        ),
+        option("NAMES", _SETS),
     ] = ""
-    detectors: Annotated[
-        str, option("NAME,...", "Detectors to run on the videos, each of them once.")
-    ] = ""
-    clutter: Annotated[
-        str, option("F,...", "Rates of false alarms to add, Poisson, boxes per frame.")
-    ] = "0"
-    seeds: Annotated[int, option("N", "How many seeds, from 1.", min=1)] = 5
+    detectors: Annotated[str, option("NAMES", "Detectors to run on the videos, each once.")] = ""
+    clutter: Annotated[str, option("RATES", "False alarms to add, boxes per frame, as 0,5,10.")] = (
+        "0"
+    )
+    seeds: Annotated[int, option("N", "How many seeds", min=1)] = 5
     variants: Annotated[list[str] | None, option("NAME=SETTINGS", _VARIANT, "--variant")] = None
     preset: given.Preset = ""
     config: given.Config = None
@@ -123,15 +120,18 @@ class PlanOptions:
 
 def compare(
     sequences: Annotated[
-        list[str], typer.Argument(metavar="SEQUENCE", help="MOTChallenge's folders, or videos.")
+        list[str],
+        typer.Argument(metavar="SEQUENCE...", help="Folders as MOTChallenge's, or videos."),
     ],
     output: Output,
     options: PlanOptions,
     scores: Annotated[
-        str, option("NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything.")
+        str, option("NAMES", "Scores to show, as MOTA,IDF1,ms; the CSV files hold all.")
     ] = "",
-    out: Annotated[Path, option("DIR", "Where everything is kept.")] = Path("runs/compare"),
-    jobs: Annotated[int, option("N", "Processes; 0: one per core.", min=0)] = 0,
+    out: Annotated[Path, option("DIR", "Directory in which everything is kept.")] = Path(
+        "runs/compare"
+    ),
+    jobs: Annotated[int, option("N", "Processes at once. Default: one per core.", min=0)] = 0,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Run everything anew, also what is kept already.")
     ] = False,

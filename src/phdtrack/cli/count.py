@@ -47,26 +47,30 @@ _FILES = {
     name: rundir.RUN_FILES[name]
     for name in (rundir.COUNTS, rundir.COUNTS_PICTURE, rundir.COUNTS_VIDEO, rundir.COUNTS_PAGE)
 }
-_LINE = "A line: NAME=x1,y1,x2,y2 in pixels; in is from its left to its right. Repeatable."
-_ZONE = "A zone: NAME=x1,y1,x2,y2,x3,y3,... around it. Repeatable."
+_LINE = (
+    "A line from x1,y1 to x2,y2, in pixels: NAME=x1,y1,x2,y2. In is from its left to its right."
+    " Repeatable."
+)
+_ZONE = "A zone with three or more corners, in pixels: NAME=x1,y1,x2,y2,x3,y3. Repeatable."
 
 
 @dataclass(frozen=True, slots=True)
 class CountOptions:
     """Lines and zones to count at, and whether to draw the counts."""
 
-    line: Annotated[list[str] | None, option("NAME=X,Y,...", _LINE)] = None
-    zone: Annotated[list[str] | None, option("NAME=X,Y,...", _ZONE)] = None
+    line: Annotated[list[str] | None, option("NAME=PIXELS", _LINE)] = None
+    zone: Annotated[list[str] | None, option("NAME=PIXELS", _ZONE)] = None
     places: Annotated[
-        Path | None, option("FILE", "Lines and zones in a file, as of `phdtrack live`.")
+        Path | None,
+        option("FILE", "Lines and zones in a TOML file, which `phdtrack live` reads, too."),
     ] = None
     tracks: Annotated[
-        Path | None, option("FILE", "Tracks of the video in a file: it is not tracked again.")
+        Path | None, option("FILE", "Tracks of the video, in a file: it is not tracked again.")
     ] = None
     dwell: given.Dwell = 60.0
     leave_after: given.LeaveAfter = 3.0
     video: Annotated[
-        bool, typer.Option("--video", help="Write the video with running counts, too.")
+        bool, typer.Option("--video", help="Write counts.mp4: the video with running counts.")
     ] = False
 
 

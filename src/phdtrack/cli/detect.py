@@ -31,7 +31,7 @@ def detect(
     max_width: given.MaxWidth = None,
     mask: given.Mask = None,
     classes: Annotated[
-        str, option("NAME,...", "Classes of a network to write; default: all.")
+        str, option("NAMES", "Classes of a network to write, as person,car. Default: all.")
     ] = "",
 ) -> None:
     """Detect objects in a video and write detections.csv, a MOTChallenge file.

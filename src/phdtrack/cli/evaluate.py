@@ -56,15 +56,15 @@ class EvaluateOptions:
     """Regions and classes that count, and reports of errors."""
 
     ignore: Annotated[
-        Path | None, option("FILE", "Regions that do not count: CSV frame,x,y,w,h; no frame: all.")
+        Path | None, option("FILE", "Regions that do not count: CSV frame,x,y,w,h. No frame: all.")
     ] = None
     kitti: Annotated[str, option("TYPE", "Type of KITTI label files to score, as Car.")] = ""
-    per_class: Annotated[
-        bool, typer.Option("--per-class", help="Scores of each class; no pair is of two classes.")
-    ] = False
+    per_class: Annotated[bool, typer.Option("--per-class", help="Score each class on its own.")] = (
+        False
+    )
     errors: Annotated[
         bool,
-        typer.Option("--errors", help="Misses, false boxes and swaps by cause; the worst."),
+        typer.Option("--errors", help="List misses, false boxes and swaps by cause."),
     ] = False
     detections: Annotated[
         Path | None, option("FILE", "For --errors: the detections that were tracked.")
@@ -79,26 +79,36 @@ class EvaluateOptions:
 
 
 def evaluate(
-    truth: Annotated[Path, option("FILE", "Annotated objects: MOTChallenge gt.txt, CSV, XML.")],
-    tracks: Annotated[Path, option("FILE", "Tracks to score: MOTChallenge or CSV.")],
+    truth: Annotated[
+        Path, option("FILE", "Annotated objects: MOTChallenge's gt.txt, CSV, XML and others.")
+    ],
+    tracks: Annotated[Path, option("FILE", "Tracks to score: MOTChallenge, CSV and others.")],
     output: Output,
     asked: EvaluateOptions,
     iou: given.Iou = 0.5,
     frames: Annotated[
-        int, option("N", "Number of frames; 0: that of seqinfo.ini or of the last box.", min=0)
+        int,
+        option(
+            "N", "Number of frames. Default: that of seqinfo.ini, or up to the last box.", min=0
+        ),
     ] = 0,
     t_gospa: Annotated[
-        bool, typer.Option("--t-gospa", help="T-GOSPA too: seconds to minutes on long sequences.")
+        bool, typer.Option("--t-gospa", help="T-GOSPA, too: takes seconds to minutes.")
     ] = False,
     rmse: Annotated[
-        float, option("PX", "RMSE of each object's box centres too, pairs nearer than PX.", min=0.0)
+        float,
+        option(
+            "PX",
+            "RMSE of box centres, too, of pairs nearer than PX. Default: not computed.",
+            min=0.0,
+        ),
     ] = 0.0,
 ) -> None:
     """Score tracks against annotated objects.
 
     A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts.
-    --errors reports why boxes are missed or false. With --json a score whose denominator is empty
-    is null.
+    With --errors it reports why boxes are missed or false. With --json a score whose denominator is
+    empty is null.
     """
     if not asked.errors:
         unused = {"--detections": asked.detections, "--worst": asked.worst != WORST}

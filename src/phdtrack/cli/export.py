@@ -37,7 +37,7 @@ def export(
         ),
     ],
     out: Annotated[
-        Path | None, option("FILE", "File to write; default: beside the tracks.")
+        Path | None, option("FILE", "File to write. Default: beside the tracks.")
     ] = None,
     overwrite: given.Overwrite = False,
     size: given.FrameSize = "",

@@ -38,11 +38,11 @@ def groups(
     to: OutputRequest,
     camera: Annotated[
         Path | None,
-        option("FILE", "From pixels to the ground: Tsai XML, OpenCV, homography, TOML."),
+        option("FILE", "Camera file, as `phdtrack calibrate` writes it, or of Tsai or OpenCV."),
     ] = None,
     edges: Annotated[
         Path | None,
-        option("FILE", "Lines to draw on the plan, as road edges: x y in metres a line."),
+        option("FILE", "Lines to draw on the plan, as kerbs: a point x y in metres a line."),
     ] = None,
     video: given.Video = True,
     checkpoint_every: given.CheckpointEvery = CHECKPOINT_EVERY,

@@ -41,23 +41,33 @@ def label(
     source: SourceRequest,
     at: PageOptions,
     labels: given.Labels = None,
-    frames: Annotated[int, option("N", "How many frames to draw.", min=1)] = 40,
+    frames: Annotated[int, option("N", "How many frames to draw", min=1)] = 40,
     seed: Annotated[int, option("N", "Seed of the draw.", min=0)] = 0,
     suggest: Annotated[
-        bool, typer.Option("--suggest/--no-suggest", help="Look for detections that may be false.")
+        bool,
+        typer.Option(
+            "--suggest/--no-suggest", help="Look for detections that may be false, or not."
+        ),
     ] = True,
     labeller: Annotated[
-        str, option("NAME", "Who labels, kept with each mark. The page can change it.")
+        str,
+        option(
+            "NAME",
+            "Who labels: kept with each mark. The page can change it.",
+        ),
     ] = "",
     imported: Annotated[
         Path | None, option("FILE", "Import the marks of a COCO or CVAT file, and end.", "--import")
     ] = None,
     out: Annotated[
-        Path | None, option("FILE", "Write COCO (.json), CVAT (.xml) or .csv, and end.", "--export")
+        Path | None,
+        option(
+            "FILE", "Write the marks as COCO (.json), CVAT (.xml) or .csv, and end.", "--export"
+        ),
     ] = None,
     overwrite: given.Overwrite = False,
     browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
+        bool, typer.Option("--browser/--no-browser", help="Open the page in a browser, or not.")
     ] = True,
     blur: given.Blur = "",
     config: given.Config = None,

@@ -29,15 +29,15 @@ def learn(
     output: Output,
     labels: given.Labels = None,
     births: Annotated[
-        str, option("FROM", "tracks: where tracks begin; hand: marked with `phdtrack label`.")
+        str, option("FROM", "Where objects enter: tracks, where tracks begin; hand, as marked.")
     ] = "tracks",
     clutter: Annotated[
-        str, option("FROM", "labels: marked with `phdtrack label`; unattended: not checked.")
+        str, option("FROM", "False alarms: labels, as marked; unattended, as guessed.")
     ] = "labels",
-    first: Annotated[int, option("N", "Learn from this frame on.", min=1)] = 1,
-    last: Annotated[int, option("N", "Learn up to this frame; 0: all.", min=0)] = 0,
+    first: Annotated[int, option("N", "Learn from this frame on", min=1)] = 1,
+    last: Annotated[int, option("N", "Learn up to this frame. Default: to the end.", min=0)] = 0,
     out: Annotated[
-        Path | None, option("FILE", "Where to write the scene; default: next to the labels.")
+        Path | None, option("FILE", "Scene file to write. Default: beside the labels.")
     ] = None,
     overwrite: given.Overwrite = False,
     config: given.Config = None,

@@ -44,15 +44,17 @@ Names = Mapping[int, str] | None
 _ENDING = 1.5
 _LINES = 10_000
 _PLACES = (
-    "Lines and zones, read again when they change; NAME=FILE for one camera. Default: places.toml"
-    " in its folder."
+    "Lines and zones, read again when they change; NAME=FILE: of one camera. Default: places.toml"
+    " in the folder of each."
 )
 _QUOTA = (
-    "Keep at most so much of the rows, and of the videos, of each camera, as 20GB; default: all."
+    "Keep at most so much of the rows, and of the videos, of each camera, as 20GB. Default: all."
 )
 _UNHEALTHY = "Seconds without a picture of a camera after which /healthz answers 503."
 _SAVED = "Seconds between checkpoints, from which a restart continues; 0: none."
-_SOURCES = "rtsp://..., http://..., a camera's number or a file; NAME=ADDRESS gives it a name."
+_SOURCES = (
+    "An address (rtsp:// or http://), the number of a camera, or a video. NAME=ADDRESS names it."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,7 @@ class LiveOptions:
 
     places: Annotated[list[str] | None, option("FILE", _PLACES)] = None
     webhook: Annotated[
-        list[str] | None, option("URL", "Post each event to this address; repeatable.")
+        list[str] | None, option("URL", "Post each event to this address. Repeatable.")
     ] = None
     allow_private: Annotated[
         bool, typer.Option("--allow-private", help="Webhooks may be in private networks.")
@@ -77,7 +79,7 @@ class LiveOptions:
         str, option("SIZE", _QUOTA, callback=lambda text: text if size(text) else "")
     ] = ""
     parquet: Annotated[
-        bool, typer.Option("--parquet", help="Hours of rows become Parquet instead of CSV.")
+        bool, typer.Option("--parquet", help="Write rows as Parquet, not as CSV.")
     ] = False
     blur: given.Blur = ""
     checkpoint_every: Annotated[float, option("S", _SAVED, min=0.0)] = EVERY
@@ -100,8 +102,10 @@ def live(
     mask: given.Mask = None,
     scene: given.SceneFile = None,
     learn: given.Learn = True,
-    page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page.")] = True,
-    duration: Annotated[float, option("S", "End after so many seconds; 0: never.", min=0.0)] = 0.0,
+    page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page, or not.")] = True,
+    duration: Annotated[
+        float, option("S", "End after so many seconds. Default: at Ctrl-C.", min=0.0)
+    ] = 0.0,
 ) -> None:
     """Track cameras without end: events, rows and videos by the hour, and a page with pictures,
     counts and maps.

@@ -7,6 +7,7 @@ annotated with options: `app.with_options` makes an option of each of its fields
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Callable
@@ -28,11 +29,47 @@ from phdtrack.run.requests import (
 )
 
 
-def option(metavar: str, help: str, *name: str, **more: Any) -> Any:
+def option(
+    metavar: str,
+    help: str,
+    *name: str,
+    min: float | None = None,
+    max: float | None = None,
+    **more: Any,
+) -> Any:
     """An option with a value that its help calls ``metavar``; its name is that of the parameter
-    unless a ``name`` is given.
+    unless a ``name`` is given. A value below ``min`` or above ``max`` is refused.
     """
+    if min is not None or max is not None:
+        words = _range(min, max)
+        more["callback"] = lambda value: _within(value, min, max, words)
+        # Nobody needs to be told that a number of frames is not negative.
+        told = words if min else _range(None, max)
+        before, default, after = help.partition(" Default:")
+        help = f"{before.removesuffix('.')}{told and '; '}{told}.{default}{after}"
     return typer.Option(*name, metavar=metavar, help=help, **more)
+
+
+def _range(least: float | None, most: float | None) -> str:
+    """The numbers that are allowed, in words; empty for all."""
+    if least is None and most is None:
+        return ""
+    if least is None:
+        return f"at most {most:g}"
+    if most is None:
+        return f"at least {least:g}"
+    return f"{least:g} to {most:g}"
+
+
+def _within(value: Any, least: float | None, most: float | None, words: str) -> Any:
+    """The value. Raises `typer.BadParameter` if it is not in the range."""
+    outside = value is not None and (
+        not value >= (-math.inf if least is None else least)
+        or not value <= (math.inf if most is None else most)
+    )
+    if outside:
+        raise typer.BadParameter(f"expected {words}, got {value:g}")
+    return value
 
 
 def one_of(value: str, *known: str) -> str:
@@ -42,65 +79,68 @@ def one_of(value: str, *known: str) -> str:
     return value
 
 
-def listed(help: str) -> Callable[[str], list[str]]:
-    """A completion of the words in lower case that a help text lists after commas or a colon."""
-    names = re.findall(r"(?:^|: |, (?:or )?)([a-z][\w-]{2,})", help)
-    return lambda incomplete: [name for name in names if name.startswith(incomplete)]
+def listed(names: str) -> Callable[[str], list[str]]:
+    """A completion of the words in lower case that a text lists after commas or a colon."""
+    words = re.findall(r"(?:^|: |, (?:or )?)([a-z][\w-]{2,})", names)
+    return lambda incomplete: [word for word in words if word.startswith(incomplete)]
 
 
 Json = Annotated[
-    bool,
-    typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr."),
+    bool, typer.Option("--json", help="Print one JSON object on stdout, and the rest on stderr.")
 ]
 _QUIET = "Print only warnings and errors."
 Quiet = Annotated[bool, typer.Option("--quiet", help=_QUIET)]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the files of an earlier run; other files stay.")
 ]
-Seed = Annotated[
-    int, option("N", "Seed of everything random: the same seed gives the same result.", min=0)
-]
+Seed = Annotated[int, option("N", "The same seed gives the same result, digit by digit.", min=0)]
 Iou = Annotated[float, option("F", "Overlap (intersection over union) from which two boxes match.")]
 _WIDTH = (
-    "Shrink wider frames to N pixels for the detector; 0: do not shrink (default: about 640; face,"
-    " person: 0)."
+    "Shrink wider frames to N pixels for the detector; 0: never. Default: about 640; for face and"
+    " person 0."
 )
 MaxWidth = Annotated[int | None, option("N", _WIDTH, min=0)]
 Mask = Annotated[
     Path | None,
-    option("FILE", "Image of the frame's size; only boxes where it is not black are reported."),
+    option("FILE", "An image of the frame's size: boxes where it is black are left out."),
 ]
-Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos to look at.")]
-_VIDEO_SIZE = "Longer side of annotated.mp4 in pixels at most; 0: that of the source."
+Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos to look at, or not.")]
+_VIDEO_SIZE = "Longer side of annotated.mp4 in pixels, at most; 0: as in the source."
 VideoSize = Annotated[int, option("N", _VIDEO_SIZE, min=0)]
-FrameSize = Annotated[str, option("WxH", "Size of the frames in pixels, as 1920x1080.")]
-Sequence = Annotated[
-    str, option("NAME", "The video to read of a COCO file with several; all: as one.")
-]
-Fps = Annotated[
-    float, option("F", "Frames per second; 0: those of the video or of seqinfo.ini.", min=0.0)
-]
-_DETECTORS = "change (default), mean-background, mog2, face, person, or onnx:FILE, a network."
+_FRAME_SIZE = (
+    "Size of the frames in pixels, as 1920x1080. Default: from the video, or from seqinfo.ini"
+    " beside the file."
+)
+FrameSize = Annotated[str, option("WxH", _FRAME_SIZE)]
+_SEQUENCE = "The video to read of a COCO file with several; all: read them as one."
+Sequence = Annotated[str, option("NAME", _SEQUENCE)]
+_FPS = "Frames per second. Default: from the video, or from seqinfo.ini beside the file."
+Fps = Annotated[float, option("F", _FPS, min=0.0)]
+_DETECTORS = "change (default), mean-background, mog2, face, person, or onnx:FILE for a network."
 Detector = Annotated[str, option("NAME", _DETECTORS, autocompletion=listed(_DETECTORS))]
-Source = Annotated[
-    str,
-    typer.Argument(metavar="SOURCE", help="Video, folder or pattern of images, or camera number."),
-]
+SOURCE = (
+    "A video, a folder of images, a pattern of them in quotes, an address, or the number of a"
+    " camera."
+)
+Source = Annotated[str, typer.Argument(metavar="SOURCE", help=SOURCE)]
 _FILTERS = "pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, pmbm, mcmc, or none."
 Filter = Annotated[str, option("NAME", _FILTERS, "--filter", autocompletion=listed(_FILTERS))]
-SceneFile = Annotated[Path | None, option("FILE", "Scene file that `phdtrack learn` wrote.")]
-TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score against.")]
-Labelled = Annotated[
-    str, option("LIST", "Score these frames alone: 1,11,21-30, a file, truth, or all.")
+SceneFile = Annotated[Path | None, option("FILE", "What `phdtrack learn` wrote about this scene.")]
+TruthFile = Annotated[
+    Path | None, option("FILE", "Annotated objects: the tracks are scored against them.")
 ]
-_MARKED = "File of the marks of `phdtrack label`; default: runs/NAME.labels.sqlite."
+Labelled = Annotated[
+    str,
+    option("LIST", "Frames to score, as 1,11,21-30, or in a file; truth: those with objects; all."),
+]
+_MARKED = "File of the marks of `phdtrack label`. Default: runs/NAME.labels.sqlite."
 Labels = Annotated[Path | None, option("FILE", _MARKED)]
 Config = Annotated[
-    Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")
+    Path | None, option("FILE", "Settings in a TOML file, as phdtrack settings prints them.")
 ]
 Sets = Annotated[
     list[str] | None,
-    option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set"),
+    option("NAME=VALUE", "One setting, as sensor.box_noise=0.1. Repeatable.", "--set"),
 ]
 _PRESETS = (
     "Settings to start from: default, background, ground, points, other-filters,"
@@ -112,22 +152,23 @@ Frames = Annotated[
     str,
     option(
         "A-B",
-        "Only these frames, as 1500-3000 or 1500-; numbers and times stay those of the whole.",
+        "Only these frames, as 1500-3000 or 1500-. Numbers and times stay those of the whole.",
     ),
 ]
 _LEARN = (
-    "Learn where the scene flickers, with a background detector: a file is tracked a second time,"
-    " `live` learns as it goes."
+    "With a background detector, track the video twice: the first time teaches where the scene"
+    " flickers."
 )
 Learn = Annotated[bool, typer.Option("--learn/--no-learn", help=_LEARN)]
 DetectionsFile = Annotated[
-    Path | None, option("FILE", "Detections in place of a detector's; -: rows from standard input.")
+    Path | None,
+    option("FILE", "Boxes of your own detector; no other one runs. Write - for rows from a pipe."),
 ]
 OnError = Annotated[
     str,
     option(
         "skip|stop",
-        "Malformed detection rows: skip and count them, or stop.",
+        "Malformed rows of detections: skip and count them, or stop.",
         callback=lambda value: one_of(value, "skip", "stop"),
     ),
 ]
@@ -160,19 +201,19 @@ def limit_files(text: str) -> str:
     return text
 
 
-_SIZE = "Largest file that is read whole, as 500MB; videos have no limit (default: 4GB)."
+_SIZE = "Largest file that is read whole, as 500MB; videos have no limit. Default: 4GB."
 MaxFileSize = Annotated[str, option("SIZE", _SIZE, callback=limit_files)]
 Classes = Annotated[
-    str, option("NAME,...", "Classes of the detections to track; default: all, each on its own.")
+    str, option("NAMES", "Track these classes alone, as person,car. Default: all, each on its own.")
 ]
 Out = Annotated[
-    Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")
+    Path | None, option("DIR", "Directory to write into. Default: runs/ and the source's name.")
 ]
-_AGAIN = "Detect anew; do not reuse the detections of an earlier run with the same detector."
+_AGAIN = "Detect anew, even if an earlier run of this detector has kept its boxes."
 DetectAgain = Annotated[bool, typer.Option("--detect-again", help=_AGAIN)]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue a run that was interrupted.")]
 CheckpointEvery = Annotated[
-    float, option("S", "Seconds between checkpoints, for --resume; 0: none.", min=0.0)
+    float, option("S", "Seconds between checkpoints, for --resume; 0: none are made.", min=0.0)
 ]
 _BLUR = "Pixelate boxes, or faces (the upper third of boxes), in all pictures and videos."
 Blur = Annotated[
@@ -185,31 +226,44 @@ LeaveAfter = Annotated[
     float, option("S", "Seconds without a detection before a track counts as gone.", min=0.1)
 ]
 CameraMotion = Annotated[
-    str, option("flow|FILE|none", "A camera that moves: measured, or from a file.")
+    str,
+    option(
+        "HOW", "The camera's motion: flow measures it, FILE has it. Default: none, it stands still."
+    ),
 ]
 Threads = Annotated[
     int | None,
-    option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0),
+    option(
+        "N", "Threads of particle filters; 0: all cores. The result is the same. Default: 1.", min=0
+    ),
 ]
 _MOST = (
-    "Keep at most N detections per frame, highest scores first (default: 1000; fewer with some"
-    " filters)."
+    "Keep at most N detections per frame, highest scores first. Default: 1000, fewer with some"
+    " filters."
 )
 MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
 _LOOKS = (
-    "What the boxes look like, as evidence of who is who: colours, none, onnx:FILE, or FILE.npy, a"
-    " row for each detection. Default: what a run has kept beside --detections, or"
+    "What boxes look like tells who is who: colours, none, onnx:FILE, or FILE.npy with a row for"
+    " each detection. Default: what a run has kept beside --detections, or"
     f" {DEFAULT_APPEARANCE}."
 )
-Appearance = Annotated[str, option("NAME", _LOOKS, autocompletion=listed(_LOOKS))]
+Appearance = Annotated[str, option("NAME", _LOOKS, autocompletion=listed(": colours, none"))]
 _RETURNS = (
-    "Seconds within which somebody who was lost and looks the same takes the old identity again; 0:"
-    " as long as the odds allow (default)."
+    "Seconds within which an object that was lost and looks the same gets its identity back."
+    " Default: as long as the odds allow."
 )
 ReidentifyWithin = Annotated[float | None, option("S", _RETURNS, min=0.0)]
 
-_FORMAT = f"Format of the file of boxes: {', '.join(FORMATS)}; of two files TRUTH,FILE."
-_BOX = "Left, top, then width, height or right, bottom; of two files TRUTH,FILE."
+_FORMAT = (
+    f"Format of the file, where its content does not tell: {', '.join(FORMATS)}. If there is a"
+    " truth as well, this and the next three take TRUTH,FILE."
+)
+_FIRST_FRAME = "Number that the file gives its first frame. Default: as usual in its format."
+_UNITS = "Its boxes are in pixels, or in shares of the frame's size. Default: as they look."
+_BOX = (
+    "Its boxes are left, top, width, height; or left, top, right, bottom. Default: as usual in its"
+    " format."
+)
 
 # How the fields of the requests of `phdtrack.run` are given on the command line.
 REQUESTS: dict[type[Any], dict[str, Any]] = {
@@ -225,13 +279,11 @@ REQUESTS: dict[type[Any], dict[str, Any]] = {
         "detect_again": DetectAgain,
     },
     ReadingRequest: {
-        "format": Annotated[str, option("NAME", _FORMAT, autocompletion=listed(_FORMAT))],
-        "first_frame": Annotated[
-            str, option("0|1", "Number of its first frame; of two files TRUTH,FILE.")
+        "format": Annotated[
+            str, option("NAME", _FORMAT, autocompletion=listed(", ".join(FORMATS)))
         ],
-        "units": Annotated[
-            str, option("pixels|shares", "Units of its boxes; of two files TRUTH,FILE.")
-        ],
+        "first_frame": Annotated[str, option("0|1", _FIRST_FRAME)],
+        "units": Annotated[str, option("pixels|shares", _UNITS)],
         "box": Annotated[str, option("ltwh|ltrb", _BOX)],
         "sequence": Sequence,
     },
@@ -272,22 +324,24 @@ class PageOptions:
     """Address of a page, and who may open it (docs/security.md)."""
 
     host: Annotated[
-        str, option("NAME", "Address to listen on; other machines need the printed token.")
+        str, option("NAME", "Address to listen on. Other machines need the token that is printed.")
     ] = "127.0.0.1"
     port: Annotated[
         int,
         option(
             "N",
-            "Port of the page; 0: one that is free (`label`: each time the same).",
+            "Port of the page. Default: one that is free.",
             min=0,
             max=65535,
         ),
     ] = 0
     allow_host: Annotated[
         list[str] | None,
-        option("NAME", "Name or address by which browsers ask for the page; repeatable."),
+        option("NAME", "Name or address by which browsers ask for the page. Repeatable."),
     ] = None
     certificate: Annotated[
-        Path | None, option("FILE", "Certificate (PEM): the page is served by https.")
+        Path | None, option("FILE", "Certificate in PEM form: the page is then served by https.")
     ] = None
-    key: Annotated[Path | None, option("FILE", "Private key (PEM) of the certificate.")] = None
+    key: Annotated[Path | None, option("FILE", "Private key of the certificate, in PEM form.")] = (
+        None
+    )

@@ -44,29 +44,41 @@ FILES = dict.fromkeys((TRUTH, DETECTIONS, SEQINFO, VIDEO), "")
 DEMO_TRUTH = "scene_gt.txt"
 WITHOUT = "without-filter"
 FRAMES = 300
+_LOOK = (
+    "The look of the video, as wave=0.3: noise, flicker, plants, wave, lamps, shadow or blown."
+    " Repeatable."
+)
 
 
 def simulate(
-    name: Annotated[str, typer.Argument(metavar="SCENE", help=", ".join(NAMED))],
+    name: Annotated[str, typer.Argument(metavar="SCENE", help=f"{', '.join(NAMED)}.")],
     output: Output,
     out: given.Out = None,
     overwrite: given.Overwrite = False,
     seed: given.Seed = 0,
-    frames: Annotated[int, option("N", "Number of frames; 0: the scene's own.", min=0)] = 0,
-    p_detect: Annotated[float | None, option("P", "Detection probability.")] = None,
-    clutter: Annotated[
-        float | None, option("F", "Expected false alarms per frame, Poisson.")
+    frames: Annotated[int, option("N", "Number of frames. Default: that of the scene.", min=0)] = 0,
+    p_detect: Annotated[
+        float | None,
+        option("P", "Probability that an object is detected. Default: that of the scene."),
     ] = None,
-    places: Annotated[int | None, option("N", "Places with persistent false alarms.")] = None,
+    clutter: Annotated[
+        float | None,
+        option("F", "False alarms per frame, on average. Default: those of the scene."),
+    ] = None,
+    places: Annotated[
+        int | None, option("N", "Places with persistent false alarms. Default: those of the scene.")
+    ] = None,
     jitter: Annotated[
-        float | None, option("F", "Error of boxes, as a fraction of their size.")
+        float | None,
+        option("F", "Error of boxes, as a share of their size. Default: that of the scene."),
     ] = None,
     sets: Annotated[
-        list[str] | None, option("NAME=VALUE", "A setting of the scene, as arrivals=0.8.", "--set")
+        list[str] | None,
+        option("NAME=VALUE", "A setting of the scene, as arrivals=0.8. Repeatable.", "--set"),
     ] = None,
     look: Annotated[
         list[str] | None,
-        option("NAME=VALUE", "Look of the video: wave=0.3, lamps=8, noise and others."),
+        option("NAME=VALUE", _LOOK),
     ] = None,
     video: given.Video = True,
 ) -> None:
@@ -120,7 +132,7 @@ def simulate(
 
 def demo(
     output: Output,
-    out: Annotated[Path, option("DIR", "Where to write.")] = Path("demo-run"),
+    out: Annotated[Path, option("DIR", "Directory to write into.")] = Path("demo-run"),
     overwrite: given.Overwrite = False,
     seed: given.Seed = 7,
 ) -> None:
