@@ -73,6 +73,23 @@ def test_a_run_has_events_a_picture_a_video_and_a_section(run: Path) -> None:
     assert ">middle<" in page
 
 
+def test_count_takes_the_frames_and_motion_of_track(run: Path, tmp_path: Path) -> None:
+    asked = ("count", run / "w.mp4", "--detections", run / "det" / "det.txt", "--line", LINE)
+    # Both have crossed after frame 28, and none before frame 20.
+    for frames, crossed in (("1-15", 0), ("31-40", 0), ("10-40", 2)):
+        out = tmp_path / frames
+        said = phdtrack(*asked, "--frames", frames, "--out", out, "--json")
+        (line,) = said.object["counts"]
+        assert line["in"] + line["out"] == crossed
+        begin, end = map(int, frames.split("-"))
+        assert said.object["frames"] == end - begin + 1
+    still = ("--camera-motion", "flow", "--checkpoint-every", 0, "--out", tmp_path / "still")
+    assert "camera_motion" in phdtrack(*asked, *still, "--json").object
+    for option in (("--frames", "1-15"), ("--camera-motion", "flow")):
+        known = refused("count", run / "gt" / "gt.txt", "--line", LINE, *option)
+        assert f"{option[0]}: the tracks come from" in known
+
+
 def test_zones_that_share_a_corner_are_both_filled_and_named():
     dark = np.zeros((480, 640, 3), np.uint8)
     corners = [((200, 200), (200 + w, 200), (200 + w, 400), (200, 400)) for w in (100, 200)]

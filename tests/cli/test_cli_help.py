@@ -165,6 +165,12 @@ def test_options_of_a_batch_have_the_help_of_track() -> None:
     assert panels(said.out) == panels(page("track"))
 
 
+def test_count_has_the_options_of_track() -> None:
+    missing = option_names(parsed("track")) - option_names(parsed("count"))
+    assert missing == {"--no-video", "--video-size"}
+    assert "in place of annotated.mp4" in " ".join(page("count").split())
+
+
 def test_help_of_live_says_what_json_prints() -> None:
     text = " ".join(page("live").split())
     assert "--json Print a JSON object per line on stdout: each event, and each change" in text

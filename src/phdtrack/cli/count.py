@@ -33,6 +33,7 @@ from phdtrack.run.directory import RunDirectory, RunTracks
 from phdtrack.run.inputs import TABLES, readable_again
 from phdtrack.run.preparation import prepare
 from phdtrack.run.requests import (
+    CHECKPOINT_EVERY,
     OutputRequest,
     RunRequest,
     SourceRequest,
@@ -56,7 +57,7 @@ _ZONE = "A zone with three or more corners, in pixels: NAME=x1,y1,x2,y2,x3,y3. R
 
 @dataclass(frozen=True, slots=True)
 class CountOptions:
-    """Lines and zones to count at, and whether to draw the counts."""
+    """Lines and zones to count at, whether to draw the counts, and how the video is tracked."""
 
     line: Annotated[list[str] | None, option("NAME=PIXELS", _LINE)] = None
     zone: Annotated[list[str] | None, option("NAME=PIXELS", _ZONE)] = None
@@ -72,6 +73,9 @@ class CountOptions:
     video: Annotated[
         bool, typer.Option("--video", help="Write counts.mp4: the video with running counts.")
     ] = False
+    frames: given.Frames = ""
+    camera_motion: given.CameraMotion = ""
+    checkpoint_every: given.CheckpointEvery = CHECKPOINT_EVERY
 
 
 def count(
@@ -84,9 +88,11 @@ def count(
 ) -> None:
     """Count who crosses lines and who is in zones, in and out, how many at once and for how long.
 
-    A video is tracked first, and the directory is that of `phdtrack track`; of a run, or of tracks
-    in a file, the tracks are taken as they are. counts.csv holds each event, counts.png the places
-    and figures, counts.mp4 (--video) the same while it goes on.
+    A video is tracked first, with the options of `phdtrack track`, and the directory is that of
+    `phdtrack track`; of a run, or of tracks in a file, the tracks are taken as they are. counts.csv
+    holds each event, counts.png the places and figures, counts.mp4 (--video) the same while it goes
+    on, in place of annotated.mp4. If the camera moves, lines and zones stay where they are in the
+    picture.
     """
     watch = Watch(_places(asked), dwell=asked.dwell, leave_after=asked.leave_after)
     path = Path(source.source)
@@ -95,15 +101,23 @@ def count(
         cure = "Name the video in its place, or leave --tracks out."
         raise InputError(f"the run in {path} has tracks of its own", where="--tracks", cure=cure)
     if asked.tracks is not None:
-        _refuse_tracking(source, options, asked.tracks)
+        _refuse_tracking(source, options, asked, asked.tracks)
         _count_known(source, asked.tracks, watch, output, to, video=asked.video)
     elif is_run or path.suffix.lower() in TABLES:
-        _refuse_tracking(replace(source, source=""), options, path)
+        _refuse_tracking(replace(source, source=""), options, asked, path)
         _count_known(replace(source, source=""), path, watch, output, to, video=asked.video)
     else:
-        _count_tracked(
-            RunRequest(source, options, to, video=False, video_size=0), watch, output, asked
+        request = RunRequest(
+            source,
+            options,
+            to,
+            video=False,
+            video_size=0,
+            camera_motion=asked.camera_motion,
+            checkpoint_every=asked.checkpoint_every,
+            frames=asked.frames,
         )
+        _count_tracked(request, watch, output, asked)
 
 
 def _count_tracked(request: RunRequest, watch: Watch, output: Output, asked: CountOptions) -> None:
@@ -195,11 +209,14 @@ def _count_known(
     output.document({**document, **report.document})
 
 
-def _refuse_tracking(source: SourceRequest, options: TrackingRequest, path: Path) -> None:
+def _refuse_tracking(
+    source: SourceRequest, options: TrackingRequest, asked: CountOptions, path: Path
+) -> None:
     """Raise `InputError` for options of tracking: there is nothing to track."""
     used = asdict(replace(source, source="", fps=0.0, frame_size="", on_error=""))
     del used["reading"]
     used |= asdict(options)
+    used |= {"frames": asked.frames, "camera_motion": asked.camera_motion}
     words = {"filter_name": "filter", "sets": "set"}
     problem = f"the tracks come from {path}: nothing is tracked"
     refuse(
