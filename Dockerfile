@@ -1,4 +1,4 @@
-# docker build -t phdtrack . && docker run --rm -v "$PWD:/work" phdtrack track street.mp4
+# docker build -t phdtrack . && docker run --rm -v "$PWD:/work" phdtrack track VIDEO
 FROM python:3.12-slim
 
 WORKDIR /opt/phdtrack
@@ -8,8 +8,7 @@ RUN pip install --no-cache-dir '.[all]'
 
 # Kernels are compiled here once for all users; another kind of processor compiles them again.
 ENV NUMBA_CACHE_DIR=/var/cache/phdtrack
-RUN python -c "from phdtrack import Tracker; Tracker(frame_size=(1920, 1080)).warm_up()" \
-    && chmod -R a+rwX /var/cache/phdtrack
+RUN phdtrack warm-up && chmod -R a+rwX /var/cache/phdtrack
 
 WORKDIR /work
 ENTRYPOINT ["phdtrack"]

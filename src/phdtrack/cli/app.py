@@ -62,6 +62,7 @@ COMMANDS = {
     "export": "Write the tracks of a run, or of a file, in the format of another tool.",
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
     "simulate": "Simulate a scene: truth, detections of it, and a video.",
+    "warm-up": "Compile the kernels now and not in the first run, as for an image of Docker.",
 }
 # Seconds after which a thread gives the interpreter to one that waits: the threads of a run need it
 # often, each time briefly.
@@ -69,7 +70,7 @@ _SWITCH = 1e-5
 # Containers made after which the interpreter looks for garbage, 700 by default: loading modules and
 # kernels makes hundreds of thousands that stay, and looking through them took a tenth of the time.
 _GARBAGE = 5_000
-_MODULES = {"demo": "simulate", "settings": "show_settings"}
+_MODULES = {"demo": "simulate", "settings": "show_settings", "warm-up": "warm_up"}
 _SUMMARY = (
     "From a video, or any detector's boxes, to tracks: a filter of random finite sets between"
     " detector and identities."
@@ -92,7 +93,7 @@ def application(name: str) -> typer.Typer:
         if each == name:
             module = import_module(f"phdtrack.cli.{_MODULES.get(name, name)}")
             app.command(each, cls=_Passing if each == "batch" else HelpfulCommand)(
-                with_options(guarded(getattr(module, each)))
+                with_options(guarded(getattr(module, each.replace("-", "_"))))
             )
         else:
             app.command(each, help=what)(lambda: None)

@@ -210,6 +210,7 @@ PAGES = {
         "Examples:",
         panels={"Scene": "frames p-detect clutter places jitter set look seed"},
     ),
+    "warm-up": HelpPage(("phdtrack warm-up", "phdtrack warm-up --filter gm-phd"), "Examples:"),
 }
 
 

@@ -37,6 +37,8 @@ _ALWAYS_COMPILING = (
     " can) ..."
 )
 SOURCES = Path(__file__).parent
+# The folder that lives as long as the process, if there is one.
+_TEMPORARY = list[str]()
 
 
 njit: Callable[..., Callable[[Callable[..., Any]], Any]] = numba.njit
@@ -84,6 +86,7 @@ def prepare() -> None:
     except RuntimeError:
         lasting = False
         numba.config.CACHE_DIR = tempfile.mkdtemp(prefix="phdtrack-kernels-")
+        _TEMPORARY.append(numba.config.CACHE_DIR)
         atexit.register(shutil.rmtree, numba.config.CACHE_DIR, ignore_errors=True)
         folder = _numbas_folder()
     event.register("numba:compile", _Compilations(_COMPILING if lasting else _ALWAYS_COMPILING))
@@ -106,6 +109,13 @@ def are_kept() -> bool:
     if numba.config.DISABLE_JIT:
         return False
     return any(_numbas_folder().glob("*.nbi"))
+
+
+def kept_in() -> Path | None:
+    """The folder in which kernels are kept for later processes; None if they are not kept."""
+    if numba.config.DISABLE_JIT or _TEMPORARY:
+        return None
+    return _numbas_folder()
 
 
 def _numbas_folder() -> Path:
