@@ -317,8 +317,7 @@ class Tracker:
         """Warn of what is new in a frame: boxes left out, implausible units, doubts, and forgotten
         frames.
         """
-        # Boxes of classes that were not selected are left out as asked.
-        for sentence in left_out.sentences(self._left_out._replace(unwanted=1)):
+        for sentence in left_out.sentences(self._left_out):
             self.on_warning(f"frame {number}: {sentence}")
         if not self._warnings.of_units:
             warning = unit_warning(found, self.classes.limits.frame_size)

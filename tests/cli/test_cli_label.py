@@ -99,6 +99,25 @@ def test_label_leave_and_go_on(sequence):
     ]
 
 
+def test_the_name_of_the_labeller_is_asked_once(sequence):
+    """It is given, or typed on the page, for one video, and holds for the next ones."""
+    arguments = ("--detections", "det.txt", "--frames", "2", "--frame-size", "160x120")
+    page = Started(*arguments, "--fps", "25", "--labeller", "ada", cwd=sequence)
+    overview = json.loads(page.ask("api/overview"))
+    assert overview["labeller"] == "ada"
+    number = overview["frames"][0]["number"]
+    page.ask(f"api/frame/{number}/done", {"done": True, "who": "ada"})
+    page.leave()
+    other = Started("street", *arguments[:4], cwd=sequence)
+    assert json.loads(other.ask("api/overview"))["labeller"] == "ada"
+    other.leave()
+    assert "marks are kept under the name ada" in other.told
+    # Others who open the page from elsewhere are somebody else.
+    shared = Started("street", *arguments[:4], "--allow-host", "cam.example.org", cwd=sequence)
+    assert "under the name" not in shared.told
+    shared.leave()
+
+
 @pytest.mark.slow
 def test_a_detector_runs_once(sequence):
     page = Started("street", "--frames", "5", cwd=sequence)

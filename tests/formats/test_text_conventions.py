@@ -118,6 +118,50 @@ def test_regions_of_uavdt_have_numbers(tmp_path: Path) -> None:
     assert len(ignoring(truth, put(tmp_path, listed.read_text(), "ignore.txt"))) == 3
 
 
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            "7,7,9,9\n",
+            "line 1: expected frame,x,y,w,h, the columns of a list without a header, got 4",
+        ),
+        ("1,7,7,9,9\n2,7,7\n", "line 2: expected 5 values as in the first line, got 3"),
+        ("frame,x,y,w,h\n1,7,7,9,9,3\n", "line 2: expected 5 values as in the header, got 6"),
+    ],
+)
+def test_short_lists_to_ignore_are_refused(tmp_path: Path, content: str, words: str) -> None:
+    """By the columns that the file has: a header that it lacks is not blamed."""
+    truth = read_truth(put(tmp_path, rows("1,-1,-1")))
+    with pytest.raises(InputError) as error:
+        ignoring(truth, put(tmp_path, content, "ignore.csv"))
+    assert words in str(error.value)
+
+
+def test_regions_without_a_frame_hold_in_all(tmp_path: Path) -> None:
+    truth = read_truth(put(tmp_path, rows("1,-1,-1")))
+    for content in ("x,y,w,h\n7,7,9,9\n", ",7,7,9,9\n", "frame,x,y,w,h\n,7,7,9,9\n"):
+        found = ignoring(truth, put(tmp_path, content, "ignore.csv"))
+        assert found.regions.tolist() == [[0, 7, 7, 16, 16]]
+
+
+def test_files_without_detections_are_told(tmp_path: Path) -> None:
+    for content, words in (
+        ("", "the file is empty"),
+        ("frame,left,top,width,height\n", "the file holds no detection"),
+        ("1,-1,7,7,0,9,1\n", "none of its 1 boxes has an area"),
+    ):
+        notices = list[str]()
+        path = put(tmp_path, content, "det.txt")
+        assert len(read_detections(path, notices=notices)) == 0
+        assert notices == [
+            f"{path}: {words}: it is read as that of a detector that found nothing, and nothing is"
+            " tracked"
+        ]
+    notices.clear()
+    read_detections(put(tmp_path, "1,-1,7,7,9,9,1\n", "det.txt"), notices=notices)
+    assert notices == []
+
+
 def test_columns_of_visdrone(tmp_path: Path) -> None:
     notices = list[str]()
     path = put(tmp_path, rows("1,4,0,1", "0,0,0,0", "0,11,0,0", "1,1,1,2"))

@@ -1,3 +1,4 @@
+import os
 import sqlite3
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import pytest
 
 from phdtrack.errors import InputError
 from phdtrack.label import DRAWN, Label, LabelStore
+from phdtrack.label.store import last_labeller
 
 
 @pytest.fixture
@@ -200,3 +202,19 @@ def test_a_process_that_is_killed_loses_no_click_that_was_kept(store):
     done = subprocess.run([sys.executable, "-c", program], check=False)
     assert done.returncode == -9
     assert store.labels() == false(10, *range(25))
+
+
+def test_the_last_labeller_is_known_beside_the_file(tmp_path):
+    files = [tmp_path / f"{name}.labels.sqlite" for name in ("first", "second", "third")]
+    assert last_labeller(files[0]) == ""
+    stores = [LabelStore.open(file, file.stem, "abc", [10]) for file in files[:2]]
+    assert last_labeller(files[0]) == ""
+    stores[0].mark(10, false(10, 0), "ada")
+    stores[0].mark(10, false(10, 1), "")
+    assert [last_labeller(file) for file in files] == ["ada", "ada", "ada"]
+    stores[1].mark(10, false(10, 0), "eve")
+    # Each file remembers its own; a new one that of the newest.
+    os.utime(files[0], (1, 1))
+    assert [last_labeller(file) for file in files] == ["ada", "eve", "eve"]
+    files[2].write_text("no file of labels")
+    assert last_labeller(files[2]) == "eve"

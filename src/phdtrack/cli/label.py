@@ -29,6 +29,7 @@ from phdtrack.label.sequences import (
     still_pictures,
     suggestions,
 )
+from phdtrack.label.store import last_labeller
 from phdtrack.label.suggestions import Background
 from phdtrack.run.choices import chosen_settings
 from phdtrack.run.requests import SourceRequest, TrackingRequest
@@ -53,7 +54,7 @@ def label(
         str,
         option(
             "NAME",
-            "Who labels: kept with each mark. The page can change it.",
+            "Who labels: kept with each mark. Default: as the last time. The page can change it.",
         ),
     ] = "",
     imported: Annotated[
@@ -109,6 +110,8 @@ def label(
     pictures = still_pictures(source, numbers, around, hide, output)
     # Before anything is suggested: a port may be taken.
     address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key, store.ports)
+    # On this machine alone it is who labelled last, whatever the video.
+    labeller = labeller or _known_labeller(file, output, alone=not address.token)
     work = None
     if suggest:
         kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
@@ -126,6 +129,16 @@ def label(
         webbrowser.open(address.url)
     serve(label_app(session), address)
     _print_progress(session, file, output)
+
+
+def _known_labeller(file: Path, output: Output, *, alone: bool) -> str:
+    """The name of who labelled last, which is told; empty unless the page is this machine's alone,
+    because others may open it elsewhere.
+    """
+    name = last_labeller(file) if alone else ""
+    if name:
+        output.say(f"marks are kept under the name {name}; --labeller, or the page, sets it")
+    return name
 
 
 def _print_progress(session: Session, file: Path, output: Output) -> None:

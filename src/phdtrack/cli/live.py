@@ -163,12 +163,8 @@ def live(
         output.say(
             f"{one.name}: {counted(one.frames, 'frame')}, {events}: {directory.file(one.name)}"
         )
-        if one.returned == 1:
-            output.say(f"{one.name}: 1 object came back and got its identity again")
-        elif one.returned:
-            output.say(
-                f"{one.name}: {one.returned} objects came back and got their identities again"
-            )
+        for sentence in _told(one):
+            output.say(f"{one.name}: {sentence}")
         output.warn([f"{one.name}: {sentence}" for sentence in one.left_out.sentences()])
     if cut:
         output.warn(
@@ -178,6 +174,16 @@ def live(
             ]
         )
         raise typer.Exit(1)
+
+
+def _told(camera: Camera) -> Iterator[str]:
+    """Sentences about objects that came back, and boxes that the user's settings left out."""
+    if camera.returned == 1:
+        yield "1 object came back and got its identity again"
+    elif camera.returned:
+        yield f"{camera.returned} objects came back and got their identities again"
+    if camera.left_out.unwanted:
+        yield camera.left_out.as_asked
 
 
 def named_sources(words: Sequence[str]) -> dict[str, str]:

@@ -218,11 +218,20 @@ class DiscardedBoxes(NamedTuple):
         return DiscardedBoxes(*(a + b for a, b in zip(self, other, strict=True)))
 
     def sentences(self, known: DiscardedBoxes | None = None) -> Iterator[str]:
-        """Yield a sentence for each reason, except those that are ``known`` already."""
-        for count, reason, before in zip(self, _REASONS, known or DiscardedBoxes(), strict=True):
+        """Yield a warning for each reason, except those that are ``known`` already. Boxes that are
+        unwanted are none: `as_asked` tells of them.
+        """
+        known = (known or DiscardedBoxes())._replace(unwanted=1)
+        for count, reason, before in zip(self, _REASONS, known, strict=True):
             if count and not before:
-                boxes = "box" if count == 1 else "boxes"
-                yield f"{count} {boxes} left out: {reason}"
+                yield _sentence(count, reason)
+
+    @property
+    def as_asked(self) -> str:
+        """The sentence about boxes that the user's settings leave out; empty if there are none."""
+        if not self.unwanted:
+            return ""
+        return f"{_sentence(self.unwanted, _REASONS[2])}, as asked."
 
 
 _REASONS = (
@@ -236,6 +245,11 @@ _REASONS = (
     "more in one place than limits.max_in_one_place",
     "more in a frame than limits.max_detections",
 )
+
+
+def _sentence(count: int, reason: str) -> str:
+    """The sentence about so many boxes that are left out."""
+    return f"{count} {'box' if count == 1 else 'boxes'} left out: {reason}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,7 +78,20 @@ def read_detections(
     found = detections_of(table, left_out)
     check_scores(found.detections.confidence, path, notices)
     check_times(found.frame, path, notices)
+    if not len(found.frame):
+        report(notices, path, _without_detections(found, path))
     return found
+
+
+def _without_detections(found: DetectionTable, path: Path) -> str:
+    """The sentence about a file from which no detection came."""
+    if found.empty:
+        read = f"none of its {found.empty} boxes has an area"
+    elif path.stat().st_size == 0:
+        read = "the file is empty"
+    else:
+        read = "the file holds no detection"
+    return f"{read}: it is read as that of a detector that found nothing, and nothing is tracked"
 
 
 def detections_of(table: Table, left_out: MalformedRows | None = None) -> DetectionTable:

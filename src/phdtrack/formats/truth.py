@@ -14,8 +14,8 @@ are distractors. Unmatched output is ignored if more than half of it lies in a D
 if it is at most 25 pixels high.
 
 A list of what to ignore is a CSV file ``frame,x,y,w,h`` of regions, which hold in all frames if the
-frame is empty. With a column for the identity, or as a MOTChallenge file, rows of an identity from
-0 on are distractors, those of −1 regions.
+frame is empty, or a header names none. With a column for the identity, or as a MOTChallenge file,
+rows of an identity from 0 on are distractors, those of −1 regions.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ from phdtrack.types import F8, Truth
 
 _DISTRACTORS = (2, 7, 8, 12)
 _MOT20_DISTRACTORS = (2, 6, 7, 8, 12)
+# The columns of a list of what to ignore.
+_REGION = ("frame", "x", "y", "w", "h")
 
 
 def read_truth(
@@ -221,21 +223,37 @@ def _regions(table: Table) -> F8:
 
 def _ignore_list(text: Text) -> Text:
     """A list of what to ignore, with a header and an identity in each row (−1 for regions) and
-    frame 0 for all frames.
+    frame 0 for all frames. Raises `InputError` if a list without a header has too few columns.
     """
     names = text.header
-    if not names and text.width == 5:
-        names = ("frame", "x", "y", "w", "h")
+    if not names and 0 < text.width < len(_REGION):
+        raise InputError(
+            f"expected {','.join(_REGION)}, the columns of a list without a header, got"
+            f" {text.width} values",
+            where=str(text.origin.at(0)),
+            cure="Begin each line with a comma for all frames, or name the columns in a header.",
+        )
+    if not names and text.width == len(_REGION):
+        names = _REGION
     elif not names:
         names = ("frame", "id", "left", "top", "width", "height")
-    frame = next((names.index(name) for name in Column.FRAME.names if name in names), 0)
+    frame = next((names.index(name) for name in Column.FRAME.names if name in names), -1)
     identified = any(name in names for name in Column.IDENTITY.names)
     rows = []
     for row in range(len(text)):
         cells = text.cells(row)
-        if len(cells) > frame and not cells[frame]:
+        if len(cells) < text.width or (len(cells) > text.width and not identified):
+            # The columns that are added here are none of the file's.
+            first = "header" if text.header else "first line"
+            problem = f"expected {text.width} values as in the {first}, got {len(cells)}"
+            cure = "Complete the line, or remove it."
+            raise InputError(problem, where=str(text.origin.at(row)), cure=cure)
+        if -1 < frame < len(cells) and not cells[frame]:
             cells[frame] = "0"
         rows.append(",".join(cells[: len(names)] if identified else [*cells, "-1"]))
     if not identified:
         names = (*names, "id")
+    if frame < 0:
+        names = (*names, Column.FRAME.names[0])
+        rows = [f"{row},0" for row in rows]
     return Text(text.origin, rows, ",", len(names), names)

@@ -75,6 +75,7 @@ SELECT number, coalesce((
 """
 # The actions on a frame by one person, and those without a name.
 _OWN = "frame = ? AND who IN (?, '')"
+_LAST = "SELECT who FROM action WHERE who != '' ORDER BY id DESC LIMIT 1"
 # SQLite takes the other columns from the row that has the maximum.
 _CURRENT = """
 SELECT m.frame, m.box, m.mark, a.who, x1, y1, x2, y2, max(m.action)
@@ -133,6 +134,27 @@ class Progress:
     births: int
     drawn: int = 0
     disputed: int = 0
+
+
+def last_labeller(path: Path) -> str:
+    """The name under which the last marks were made in a file of labels, or else in the newest of
+    those beside it; empty if there is none.
+    """
+    others = sorted(
+        (other for other in path.parent.glob("*.labels.sqlite") if other != path),
+        key=lambda other: other.stat().st_mtime,
+        reverse=True,
+    )
+    for file in filter(Path.is_file, (path, *others)):
+        try:
+            with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as db:
+                found = db.execute(_LAST).fetchone()
+        except sqlite3.DatabaseError:
+            # Another program's file, which cannot tell.
+            continue
+        if found:
+            return str(found[0])
+    return ""
 
 
 @dataclass(frozen=True, slots=True)

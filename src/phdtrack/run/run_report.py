@@ -113,10 +113,17 @@ def write_report(
     if progress.reused:
         summary.insert(0, _REUSED)
     summary += [sentence for report in reports for sentence in report.sentences]
-    if "preset" in run.options.configuration:
-        summary.append(f"Settings: preset {run.options.configuration['preset']}.")
+    summary += _asked(run, progress)
     unwritten = [str(error) for error in progress.unwritten if error is not progress.ended]
     return document, tuple(summary), (*about.warnings, *unwritten)
+
+
+def _asked(run: Run, progress: Progress) -> Iterator[str]:
+    """Sentences about the user's settings: boxes that they left out, and the preset."""
+    if progress.tracker.left_out.unwanted:
+        yield progress.tracker.left_out.as_asked
+    if "preset" in run.options.configuration:
+        yield f"Settings: preset {run.options.configuration['preset']}."
 
 
 def _told(progress: Progress, record: RunRecord) -> dict[str, object]:
