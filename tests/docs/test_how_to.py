@@ -178,10 +178,9 @@ def test_commands_and_programs_of_a_page_run(
         match block.language:
             case "toml":
                 (work / TOML_NAME.match(block.text)[1]).write_text(block.text, encoding="utf-8")
-            case "console":
+            case "sh":
                 for line in block.text.splitlines():
-                    assert line.startswith("$ "), line
-                    command(line[2:] + SHORTER * (line[2:] == STREET))
+                    command(line + SHORTER * (line == STREET))
             case "sql":
                 # What they should give is in test_cli_batch.py.
                 duckdb.sql(block.text).fetchall()
@@ -208,7 +207,7 @@ def test_pages_have_something_to_run_and_are_listed() -> None:
     for name in NAMES:
         if name != "README.md":
             assert f"({name})" in index
-            assert any(block.language in ("console", "python") for block in blocks(name)), name
+            assert any(block.language in ("sh", "python") for block in blocks(name)), name
     links = re.findall(r"\]\(([^):]+\.md)\)", index)
     assert all((PAGES / link).is_file() for link in links)
 

@@ -60,8 +60,19 @@ def expanded(text: str) -> list[str]:
 
 
 def commands(block: Block) -> list[str]:
-    """The lines of a shell block without the prompt."""
-    return [line.strip().removeprefix("$ ") for line in block.text.splitlines()]
+    """The lines of a shell block."""
+    return [line.strip() for line in block.text.splitlines()]
+
+
+def prompts(text: str) -> list[str]:
+    """Lines of shell blocks that begin with a prompt, which no shell takes for a command."""
+    return [
+        line
+        for block in blocks(text)
+        if block.language in SHELL
+        for line in commands(block)
+        if line.startswith("$ ")
+    ]
 
 
 def made_by(words: list[str]) -> list[str]:
@@ -117,6 +128,7 @@ def test_shell_blocks_can_be_pasted(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert comments(text) == []
     assert expanded(text) == []
+    assert prompts(text) == []
 
 
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
@@ -131,11 +143,11 @@ def test_comments_and_strange_files_are_found() -> None:
     phdtrack track --set 'a=[1]' --set b=[2]
 
 ```console
-$ phdtrack track nobody.mp4 --detector onnx:net.onnx
-$ phdtrack simulate street --out street
-$ phdtrack track street/scene.mp4 --config mine.toml --detector onnx:NET.onnx
-$ phdtrack count runs/scene --places PLACES.toml
-$ phdtrack export runs/else --to coco
+phdtrack track nobody.mp4 --detector onnx:net.onnx
+phdtrack simulate street --out street
+phdtrack track street/scene.mp4 --config mine.toml --detector onnx:NET.onnx
+phdtrack count runs/scene --places PLACES.toml
+phdtrack export runs/else --to coco
 ```
 
 ```toml
@@ -144,10 +156,12 @@ $ phdtrack export runs/else --to coco
 
 ```
 # phdtrack
+$ phdtrack settings
 phdtrack track VIDEO --config mine.toml
 ```
 """
     assert comments(page) == ["    phdtrack demo   # first", "# phdtrack"]
+    assert prompts(page) == ["$ phdtrack settings"]
     assert expanded(page) == ["phdtrack track --set 'a=[1]' --set b=[2]"]
     assert [one.partition(": ")[2] for one in strange_files(page)] == [
         "nobody.mp4",
