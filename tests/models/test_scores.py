@@ -255,6 +255,28 @@ def test_the_ratio_is_learned_from_what_is_linked(seed: int, slope: float, even:
     assert learned[1] - learned[0] == pytest.approx(slope, abs=5 * (2400 / 8) ** -0.5)
 
 
+@pytest.mark.parametrize(("slope", "share"), [(0.0, 0.0), (0.4, 0.4), (3.0, 1.0)])
+def test_scores_that_tell_nothing_apart_say_nothing_of_lasting_alarms(slope: float, share: float):
+    """As much less of what a score claims as its slope is below half of the prior's, 1."""
+    rng = np.random.default_rng(5)
+    state = FIRST
+    for _ in range(600):
+        place = np.concatenate(
+            [np.array([[0.0, 0], [200, 0], [400, 0]]), rng.uniform(1000, 100000, (3, 2))]
+        )
+        x = rng.normal(0, 1, 6) + slope * (np.arange(6) < 3) + GOOD
+        found = Detections(
+            np.hstack([place, place + 50]), 1 / (1 + np.exp(-x)), np.zeros(6, np.int64)
+        )
+        state = RULE.advance(state, SimpleNamespace(detections=found))
+    score = np.array([0.1, 0.9])
+    claimed = np.log(score / (1 - score))
+    _, before = RULE.log_odds(score, FIRST)
+    _, lasting = RULE.log_odds(score, state)
+    np.testing.assert_allclose(before - before[0], claimed - claimed[0])
+    assert np.ptp(lasting) == pytest.approx(share * np.ptp(claimed), abs=0.15 * np.ptp(claimed))
+
+
 @pytest.mark.parametrize("false", [0, 1, 12])
 def test_false_alarms_are_learned_from_detections_that_are_alone(false: int):
     """Three that stay, and false alarms far from one another: these are the share that is alone,

@@ -25,7 +25,8 @@ are near a box: where these are fewer than `NEAR`, false alarms are as much fewe
 
 False alarms that last, as of a poster or of one's own mirror image, are linked like targets, so
 that nothing is learned of them. Against these a score is read as the probability that it claims to
-be, and a rank as half of what was learned.
+be, and a rank as half of what was learned. Where scores tell even other false alarms from targets
+badly, with a slope a below half of the prior's, they say as much less of lasting ones.
 """
 
 from __future__ import annotations
@@ -65,6 +66,10 @@ ALONE_PRIOR = 5.0
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
 LASTING_SHARE = 0.5
+# A score says of false alarms that last what it claims if its slope may be this share of the
+# prior's, else as much less; it may be what is learned and so many standard deviations more.
+CLAIMED_SLOPE = 0.5
+SURE = 2.0
 # Scores are log odds where some are negative and none is above the first. A detector that reports
 # negative ones reports more than it believes: the second is what says nothing. The third: x is
 # between minus and plus this, as of probabilities from the last.
@@ -154,7 +159,11 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         limit = math.log(self.max_odds)
         slope, offset = self._line(state, kind)
         single = np.minimum(np.maximum(slope * x + offset, -limit), limit)
-        lasting = LASTING_SHARE * single if kind == RANK else x
+        if kind == RANK:
+            lasting = LASTING_SHARE * single
+        else:
+            most = slope + SURE * self._slope_deviation(state, kind)
+            lasting = x * min(most / (CLAIMED_SLOPE * self._prior(kind)[0]), 1.0)
         nothing = np.isnan(x)
         if nothing.any():
             return np.where(nothing, 0.0, single), np.where(nothing, 0.0, lasting)
@@ -169,6 +178,13 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         return max((r * first - q * second) / (p * r - q * q), 0.0), (p * second - q * first) / (
             p * r - q * q
         )
+
+    def _slope_deviation(self, state: ScoresSeen, kind: int) -> float:
+        """The standard deviation of a."""
+        if state.line is None or kind != state.kind:
+            return float(PRIOR_PRECISION[0]) ** -0.5
+        (p, q), (_, r) = state.line.precision.tolist()
+        return math.sqrt(max(r / (p * r - q * q), 0.0))
 
     def _prior(self, kind: int) -> tuple[float, float]:
         """a and b of the prior."""
