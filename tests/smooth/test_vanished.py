@@ -151,3 +151,27 @@ def test_states_of_other_tracks_are_unchanged(rng):
     assert np.allclose(kept.xyxy, without.xyxy)
     assert len(paths_of(without, measured)) == 1
     assert len(Sequence.of(measured, MODEL).boxes) == measured.z.shape[1]
+
+
+@pytest.mark.parametrize(("last", "fewest", "most"), [(14, 23, 23), (34, 20, 32)])
+def test_a_gap_whose_place_is_not_known_stays_open(last: int, fewest: int, most: int):
+    """Ten frames at each end of a track; between them three, and twenty-three of a fast walk."""
+    rng = np.random.default_rng(2)
+    fast = model_of(acceleration=4.0)
+    pieces = [
+        piece(walk(rng, 120, (200, 400), (1, 0)), 1, (1, 120)),
+        {
+            **piece(walk(rng, 60, (100, 100), (3, 0)), 1, (1, 10), (last, last + 9)),
+            **dict.fromkeys(range(11, last)),
+        },
+    ]
+    tracks, measured = sequence(pieces, 120, fast)
+    tracks = confident(tracks, [0.9999, 0.999999])
+    found = Smoothing(existence=True, noise_by_track=False, frame_size=(WIDTH, HEIGHT)).smooth(
+        tracks, measured, fast
+    )
+    assert fewest <= (found.confidence > 0.99999).sum() <= most
+    everything = Smoothing(noise_by_track=False, frame_size=(WIDTH, HEIGHT)).smooth(
+        tracks, measured, fast
+    )
+    assert (everything.confidence > 0.99999).sum() == last + 9

@@ -182,7 +182,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
     def _slope_deviation(self, state: ScoresSeen, kind: int) -> float:
         """The standard deviation of a."""
         if state.line is None or kind != state.kind:
-            return float(PRIOR_PRECISION[0]) ** -0.5
+            return 1 / math.sqrt(PRIOR_PRECISION[0])
         (p, q), (_, r) = state.line.precision.tolist()
         return math.sqrt(max(r / (p * r - q * q), 0.0))
 
