@@ -134,7 +134,7 @@ def test_confirmed_online_as_soon_as_what_follows_shows_it():
     ("deviation", "weight", "rows"),
     [(2.0, 1.0, 7), (60.0, 1.0, 6), (2.0, 0.45, 6), (8.0, 0.9, 7), (8.0, 0.6, 6)],
 )
-def test_a_gap_has_rows_where_the_target_is_more_probably_than_not(deviation, weight, rows):
+def test_a_gap_has_rows_where_the_target_probably_is(deviation, weight, rows):
     """Whether it exists, and whether its box of 40 pixels is where it is drawn."""
     frames = [seen((1, 10.0 + 5 * k)) for k in range(7)]
     missed = seen((1, 25.0, -1), weight=[weight])

@@ -256,7 +256,7 @@ def test_the_ratio_is_learned_from_what_is_linked(seed: int, slope: float, even:
 
 
 @pytest.mark.parametrize(("slope", "share"), [(0.0, 0.0), (0.4, 0.4), (3.0, 1.0)])
-def test_scores_that_tell_nothing_apart_say_nothing_of_lasting_alarms(slope: float, share: float):
+def test_scores_that_tell_nothing_say_nothing_of_lasting_alarms(slope: float, share: float):
     """As much less of what a score claims as its slope is below half of the prior's, 1."""
     rng = np.random.default_rng(5)
     state = FIRST

@@ -94,7 +94,7 @@ def test_probabilities_are_right_for_simulated_tracks():
         assert true[here].mean() == pytest.approx(probability[here].mean(), abs=0.03 + 4 * error)
 
 
-def test_a_track_that_was_never_sure_and_stops_in_view_is_left_out(rng):
+def test_a_track_that_was_never_sure_and_stops_in_view_is_out(rng):
     sure = piece(walk(rng, 120, (200, 200), (1, 0)), 1, (1, 120))
     brief = piece(walk(rng, 12, (400, 300), (1, 0)), 40, (40, 51))
     assert left([sure, brief], [0.9999, 0.9]) == {0.9999}
