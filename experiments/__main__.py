@@ -59,7 +59,7 @@ EXPERIMENTS = {
     ),
     "cameras": Experiment(
         "new cameras and detectors, compared with other trackers, cross-validated over groups; and"
-        " synthetic cameras that nothing was chosen on"
+        " synthetic cameras, fitted to nothing"
     ),
     "degraded": Experiment(
         "the real sequences without scores, at a third of the rate, and with half of the"

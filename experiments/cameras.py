@@ -11,7 +11,7 @@ cross-validation estimates its effect elsewhere: each group is tracked with the 
 on the other groups, by the mean over groups of the mean distance of the online rows to the best
 peer.
 
-Synthetic cameras (`experiments.synthetic_cameras`), which nothing was chosen on, show what the
+Synthetic cameras (`experiments.synthetic_cameras`), fitted to nothing, show what the
 default and its variants are worth elsewhere. Each is a group of its own, because each is drawn
 independently of the others: the error of their mean is that of independent cameras.
 """
@@ -574,11 +574,11 @@ def unproved(results: CameraResults) -> list[str]:
 
 
 def gap_table(results: CameraResults) -> str:
-    """The mean distance of the default on the real groups and on synthetic cameras, and how much
-    smaller it is there.
+    """The mean distance of the default on the real groups and on synthetic cameras, and that there
+    less that here.
     """
-    three = [row for row in results.peers if row["name"] in OF_TRACKERS or _is_synthetic(row)]
     # MOT15 has the same peers by the same names.
+    three = [row for row in results.peers if row["name"] in OF_TRACKERS or _is_synthetic(row)]
     lines = []
     for output in OUTPUTS:
         rows = results.rows["default", output]

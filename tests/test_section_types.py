@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
@@ -17,22 +15,15 @@ from phdtrack.config.presets import PRESETS
 from phdtrack.config.registry import SECTIONS, constructor_defaults, settable
 from phdtrack.detect import DETECTORS, detector_parameters
 from phdtrack.detect.embedding_settings import EmbeddingSettings
+from scripts_of_project import ROOT, script_named
 
-ROOT = Path(__file__).resolve().parents[1]
 # The class of a section, and the alias of its kinds.
 NAMES = {section: section.title().replace("_", "") for section in SECTIONS}
 
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = ROOT / "scripts" / "section_types.py"
-    spec = importlib.util.spec_from_file_location("section_types_script", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return script_named("section_types")
 
 
 def test_the_committed_files_are_current(

@@ -38,41 +38,32 @@ def blocks(text: str) -> Iterator[Block]:
 
 def comments(text: str) -> list[str]:
     """Lines of shell blocks with a comment."""
-    return [
-        line
-        for block in blocks(text)
-        if block.language in SHELL
-        for line in block.text.splitlines()
-        if re.search(r"(?:^|\s)#", line)
-    ]
+    return [line for line in shell_lines(text) if re.search(r"(?:^|\s)#", line)]
 
 
 def expanded(text: str) -> list[str]:
     """Lines of shell blocks with a word that a shell would expand, or zsh refuse: a pattern."""
     return [
         line
-        for block in blocks(text)
-        if block.language in SHELL
-        for line in commands(block)
+        for line in shell_lines(text)
         if line.startswith(("phdtrack", "pip", "python"))
         and re.search(r"[\[*?]", re.sub(r"'[^']*'|\"[^\"]*\"", "", line))
     ]
 
 
-def commands(block: Block) -> list[str]:
-    """The lines of a shell block."""
-    return [line.strip() for line in block.text.splitlines()]
-
-
 def prompts(text: str) -> list[str]:
     """Lines of shell blocks that begin with a prompt, which no shell takes for a command."""
-    return [
-        line
-        for block in blocks(text)
-        if block.language in SHELL
-        for line in commands(block)
-        if line.startswith("$ ")
-    ]
+    return [line for line in shell_lines(text) if line.startswith("$ ")]
+
+
+def shell_lines(text: str) -> list[str]:
+    """The lines of all shell blocks."""
+    return [line for block in blocks(text) if block.language in SHELL for line in commands(block)]
+
+
+def commands(block: Block) -> list[str]:
+    """The lines of a block."""
+    return [line.strip() for line in block.text.splitlines()]
 
 
 def made_by(words: list[str]) -> list[str]:
@@ -160,7 +151,7 @@ $ phdtrack settings
 phdtrack track VIDEO --config mine.toml
 ```
 """
-    assert comments(page) == ["    phdtrack demo   # first", "# phdtrack"]
+    assert comments(page) == ["phdtrack demo   # first", "# phdtrack"]
     assert prompts(page) == ["$ phdtrack settings"]
     assert expanded(page) == ["phdtrack track --set 'a=[1]' --set b=[2]"]
     assert [one.partition(": ")[2] for one in strange_files(page)] == [

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from phdtrack.arrays import iou
 from phdtrack.kernels.coasting import overlap_probability
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
-from phdtrack.models.plane import PlaneSensor
+from phdtrack.models.point import PointSensor
 from phdtrack.models.predicted_boxes import on_target
 from phdtrack.protocols import Model
 
@@ -48,7 +48,7 @@ def test_boxes_drawn_from_the_covariance_overlap_as_often(rng):
         assert claimed == pytest.approx(share, abs=0.01 + 4 * 0.5 / np.sqrt(n))
 
 
-def test_positions_without_a_size_are_always_shown():
-    assert len(PlaneSensor.observed) < 4
-    plane = Model(MODEL.motion, PlaneSensor, MODEL.birth, MODEL.clutter)
-    assert on_target(plane, np.zeros((4, 3)), np.zeros((3, 4, 4))).tolist() == [1.0] * 3
+def test_positions_without_a_size_are_always_on_target():
+    points = Model(MODEL.motion, PointSensor(), MODEL.birth, MODEL.clutter)
+    lost = np.tile(1e4 * np.eye(4), (3, 1, 1))
+    assert on_target(points, np.zeros((4, 3)), lost).tolist() == [1.0] * 3

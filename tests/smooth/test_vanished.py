@@ -9,8 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smoothing_cases import HEIGHT, WIDTH, model_of, piece, sequence, walk
 
-from phdtrack.smooth.paths import paths_of
-from phdtrack.smooth.sequence import Sequence
 from phdtrack.smooth.smoothing import Smoothing
 from phdtrack.smooth.vanished import (
     FLATTERY,
@@ -149,8 +147,14 @@ def test_states_of_other_tracks_are_unchanged(rng):
     kept = with_it.select(with_it.confidence > 0.99)
     assert np.array_equal(kept.frame, without.frame)
     assert np.allclose(kept.xyxy, without.xyxy)
-    assert len(paths_of(without, measured)) == 1
-    assert len(Sequence.of(measured, MODEL).boxes) == measured.z.shape[1]
+
+
+def test_what_is_neither_joined_nor_smoothed_stays_as_it_came(rng):
+    """As in presets of the papers, which have no such rule."""
+    brief = piece(walk(rng, 6, (400, 300), (1, 0)), 40, (40, 45))
+    tracks, measured = sequence([brief], 120, MODEL)
+    as_it_came = Smoothing(existence=True, stitching=False, smoothing=False)
+    assert len(as_it_came.smooth(confident(tracks, [0.6]), measured, MODEL)) == 6
 
 
 @pytest.mark.parametrize(("last", "fewest", "most"), [(14, 23, 23), (34, 20, 32)])

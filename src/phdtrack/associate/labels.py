@@ -16,8 +16,7 @@ ones, not with time. Ages are in the model's time: the length of frames makes no
 frames left out.
 
 Where a detector ran, a row without a detection is shown if its box lies on a target more probably
-than not: the probability that the target exists, times that its box is where it is drawn
-(`models.predicted_boxes`).
+than not (`models.predicted_boxes`).
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ from phdtrack.associate.reidentification import Names, Returns, reidentified
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
 from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning
-from phdtrack.models.predicted_boxes import on_target
+from phdtrack.models.predicted_boxes import shown
 from phdtrack.models.warp import warp_states
 from phdtrack.protocols import Model
 from phdtrack.types import (
@@ -377,12 +376,17 @@ class Labelled(Checked):
         coasting = self.bridge_gaps & confirmed & coasting
         if moment.observed:
             unseen = np.flatnonzero(coasting & (estimates.detection < 0))
-            coasting[unseen] = _on_target(estimates, unseen, model)
+            coasting[unseen] = shown(
+                model,
+                estimates.state[:, unseen],
+                estimates.covariance[unseen],
+                estimates.weight[unseen],
+            )
         else:
             coasting &= present.identity[place] > 0
-        shown = np.flatnonzero((estimates.detection >= 0) | coasting)
-        place = place[shown]
-        confirmed = confirmed[shown]
+        visible = np.flatnonzero((estimates.detection >= 0) | coasting)
+        place = place[visible]
+        confirmed = confirmed[visible]
         fresh = place[present.identity[place] == 0]
         identity = present.identity.copy()
         sure = present.confirmed.copy()
@@ -390,7 +394,7 @@ class Labelled(Checked):
         sure[place] = confirmed
         order = np.argsort(identity[place])
         name = identity[place[order]]
-        at = shown[order]
+        at = visible[order]
         rows = Tracks.of(
             moment.number,
             name,
@@ -445,15 +449,6 @@ class Labelled(Checked):
         if history is state.history and kept.all():
             return state
         return replace(state, history=history, table=state.table.select(kept))
-
-
-def _on_target(estimates: Estimates, index: I8, model: Model) -> Bool:
-    """(k,) whether the boxes at ``index`` (k,) lie on targets more probably than not."""
-    if not len(index):
-        return np.zeros(0, np.bool_)
-    there = on_target(model, estimates.state[:, index], estimates.covariance[index])
-    shown: Bool = estimates.weight[index] * there > SHARE
-    return shown
 
 
 def _revise(recent: list[Moment], past: tuple[Estimates | None, ...]) -> tuple[int, list[Moment]]:

@@ -62,7 +62,7 @@ COMMANDS = {
     "export": "Write the tracks of a run, or of a file, in the format of another tool.",
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
     "simulate": "Simulate a scene: truth, detections of it, and a video.",
-    "warm-up": "Compile the kernels now and not in the first run, as for an image of Docker.",
+    "warm-up": "Compile the kernels in advance, for example while a Docker image is built.",
 }
 # Seconds after which a thread gives the interpreter to one that waits: the threads of a run need it
 # often, each time briefly.

@@ -20,7 +20,7 @@ def warm_up(
     config: given.Config = None,
     sets: given.Sets = None,
 ) -> None:
-    """Compile the kernels now and not in the first run, as for an image of Docker.
+    """Compile the kernels in advance, for example while a Docker image is built.
 
     Kernels that are kept already are only loaded. They are kept for the processor of this machine
     and the version of phdtrack: in the folder NUMBA_CACHE_DIR, beside the installation, or in the

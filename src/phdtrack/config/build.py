@@ -30,8 +30,6 @@ Size = tuple[float, float]
 # The share of the weight of a person just missed that a Gaussian must have to count as one: E13's
 # 0.25 of 0.297.
 _MISSED = 0.84
-# The kinds of extraction whose weights are the probability that a target exists.
-_EXISTENCE = ("bernoullis", "hypotheses")
 
 
 def build(
@@ -65,7 +63,9 @@ def build(
     model = _model(settings, size, info.fps)
     if scene is not None:
         model = _with_scene(model, scene)
-    existence = settings.kind("filter") != "none" and settings.kind("extract") in _EXISTENCE
+    # Weights are the probability that a target exists. The best hypothesis of PMBM and MHT has
+    # those that it believes in, nearly all with 1.
+    existence = settings.kind("filter") != "none" and settings.kind("extract") == "bernoullis"
     smoother = settings.build("smooth", frame_size=size, existence=existence)
     time = settings.build("time")
     associator = _associator(settings, scene)

@@ -179,7 +179,7 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
     Parameters
     ----------
     truth : annotated objects, boxes in pixels.
-    path : the list: MOTChallenge rows of what does not count.
+    path : the list, as this module describes it.
 
     Returns
     -------

@@ -25,8 +25,8 @@ are near a box: where these are fewer than `NEAR`, false alarms are as much fewe
 
 False alarms that last, as of a poster or of one's own mirror image, are linked like targets, so
 that nothing is learned of them. Against these a score is read as the probability that it claims to
-be, and a rank as half of what was learned. Where scores tell even other false alarms from targets
-badly, with a slope a below half of the prior's, they say as much less of lasting ones.
+be, and a rank as half of what was learned. Scores that tell targets from other false alarms badly,
+by an a below half of the prior's, say as much less of lasting ones.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ ALONE_PRIOR = 5.0
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
 LASTING_SHARE = 0.5
-# A score says of false alarms that last what it claims if its slope may be this share of the
-# prior's, else as much less; it may be what is learned and so many standard deviations more.
+# Of false alarms that last a score says what it claims, unless a is surely less than this share of
+# the prior's: then as much less. Surely less: with so many standard deviations more, too.
 CLAIMED_SLOPE = 0.5
 SURE = 2.0
 # Scores are log odds where some are negative and none is above the first. A detector that reports
@@ -157,34 +157,27 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         """
         _, kind, x, _, _ = _scaled(state, score)
         limit = math.log(self.max_odds)
-        slope, offset = self._line(state, kind)
+        slope, offset, deviation = self._line(state, kind)
         single = np.minimum(np.maximum(slope * x + offset, -limit), limit)
         if kind == RANK:
             lasting = LASTING_SHARE * single
         else:
-            most = slope + SURE * self._slope_deviation(state, kind)
-            lasting = x * min(most / (CLAIMED_SLOPE * self._prior(kind)[0]), 1.0)
+            believed = CLAIMED_SLOPE * self._prior(kind)[0]
+            lasting = x * min((slope + SURE * deviation) / believed, 1.0)
         nothing = np.isnan(x)
         if nothing.any():
             return np.where(nothing, 0.0, single), np.where(nothing, 0.0, lasting)
         return single, lasting
 
-    def _line(self, state: ScoresSeen, kind: int) -> tuple[float, float]:
-        """a and b."""
+    def _line(self, state: ScoresSeen, kind: int) -> tuple[float, float, float]:
+        """a, b, and the standard deviation of a."""
         if state.line is None or kind != state.kind:
-            return self._prior(kind)
+            return *self._prior(kind), 1 / math.sqrt(PRIOR_PRECISION[0])
         (p, q), (_, r) = state.line.precision.tolist()
         first, second = state.line.information.tolist()
-        return max((r * first - q * second) / (p * r - q * q), 0.0), (p * second - q * first) / (
-            p * r - q * q
-        )
-
-    def _slope_deviation(self, state: ScoresSeen, kind: int) -> float:
-        """The standard deviation of a."""
-        if state.line is None or kind != state.kind:
-            return 1 / math.sqrt(PRIOR_PRECISION[0])
-        (p, q), (_, r) = state.line.precision.tolist()
-        return math.sqrt(max(r / (p * r - q * q), 0.0))
+        determinant = p * r - q * q
+        slope = max((r * first - q * second) / determinant, 0.0)
+        return slope, (p * second - q * first) / determinant, math.sqrt(r / determinant)
 
     def _prior(self, kind: int) -> tuple[float, float]:
         """a and b of the prior."""

@@ -1,4 +1,4 @@
-"""How probably the box of a target that was not detected lies on the target."""
+"""Decides whether the box of a target that was not detected is shown."""
 
 from __future__ import annotations
 
@@ -6,10 +6,26 @@ import numpy as np
 
 from phdtrack.kernels.coasting import overlap_probability
 from phdtrack.protocols import Model
-from phdtrack.types import F8
+from phdtrack.types import F8, Bool
 
 # Measurements with so many rows are boxes; others have no size that says when two are the same.
 _OF_BOXES = 4
+# A box is shown if it lies on a target with more than this probability.
+SHOWN = 0.5
+
+
+def shown(model: Model, state: F8, covariance: F8, existence: F8) -> Bool:
+    """(n,) whether the box of each state lies on a target more probably than not.
+
+    Parameters
+    ----------
+    model, state, covariance : as of `on_target`.
+    existence : (n,) the probability that there is a target.
+    """
+    if not len(existence):
+        return np.zeros(0, np.bool_)
+    out: Bool = existence * on_target(model, state, covariance) > SHOWN
+    return out
 
 
 def on_target(model: Model, state: F8, covariance: F8) -> F8:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from phdtrack.conventions import Conventions
 from phdtrack.errors import InputError
@@ -209,11 +209,11 @@ def _halves(text: str, name: str, truth: bool, file: bool) -> tuple[str, str]:
 def for_name(request: T, name: str) -> T:
     """The request with ``{}`` replaced by ``name`` in every text and path."""
     if isinstance(request, str):
-        return request.replace("{}", name)  # type: ignore[return-value]
+        return cast(T, request.replace("{}", name))
     if isinstance(request, Path):
-        return Path(str(request).replace("{}", name))  # type: ignore[return-value]
+        return cast(T, Path(str(request).replace("{}", name)))
     if isinstance(request, list):
-        return [for_name(each, name) for each in request]  # type: ignore[return-value]
+        return cast(T, [for_name(each, name) for each in request])
     if is_dataclass(request) and not isinstance(request, type):
         values = {
             each.name: for_name(getattr(request, each.name), name) for each in fields(request)

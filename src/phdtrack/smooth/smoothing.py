@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
-from phdtrack.models.predicted_boxes import on_target
+from phdtrack.models.predicted_boxes import shown
 from phdtrack.models.track_returns import with_returns
 from phdtrack.protocols import Model
 from phdtrack.smooth.ends import continued
@@ -21,12 +21,10 @@ from phdtrack.smooth.paths import Paths, paths_of
 from phdtrack.smooth.sequence import Sequence, Smoothed
 from phdtrack.smooth.stitching import Stitching, returns, stitched
 from phdtrack.smooth.vanished import without_vanished
-from phdtrack.types import F8, I8, Bool, MeasurementHistory, Tracks
+from phdtrack.types import I8, Bool, MeasurementHistory, Tracks
 
 # A side is cut by the border of the picture if it is this near, in widths or heights of the box.
 _CUT = 0.1
-# The probability above which a row without a measurement has a box.
-_SHOWN = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +52,9 @@ class Smoothing:
         track uses, at most; 0: never.
     frame_size : width and height of the picture, pixels: parts of a box outside are not expected to
         be detected.
-    existence : confidences are the probability that there is a target: drop tracks that end as no
-        target does (`smooth.vanished`), and rows without a detection whose box lies on no target
-        more probably than not (`models.predicted_boxes`).
+    existence : confidences are the probability that there is a target. What is joined or smoothed
+        then leaves out tracks that end as no target does (`smooth.vanished`), and rows without a
+        detection whose box lies on no target more probably than not (`models.predicted_boxes`).
     """
 
     stitching: bool = True
@@ -84,7 +82,7 @@ class Smoothing:
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
         """The tracks, stitched and smoothed."""
         out = tracks
-        if self.stitching or self.smoothing or self.existence:
+        if self.stitching or self.smoothing:
             paths = paths_of(tracks, measurements)
             if len(paths):
                 out = self._corrected(tracks, paths, measurements, model)
@@ -176,34 +174,21 @@ def _rows(
     count = np.concatenate(([0], np.cumsum(uncertain > settings.max_gap_uncertainty)))
     gap = np.flatnonzero((count[after] == count[before + 1]) & between)
     confidence = tracks.confidence[paths.row[np.stack([before, after])]].min(axis=0)
-    shown = np.ones(len(has_row), np.bool_)
+    on_target = np.ones(len(has_row), np.bool_)
     if settings.existence:
-        shown = _on_target(paths, states, confidence, measurements, model)
-    gap = gap[shown[gap]]
+        # In frames in which nothing was measured perhaps no detector ran.
+        measured = np.diff(measurements.start)[paths.frame] > 0
+        unseen = np.flatnonzero((paths.measurement < 0) & measured)
+        on_target[unseen] = shown(
+            model, x[:, unseen], states.covariance[unseen], confidence[unseen]
+        )
+    gap = gap[on_target[gap]]
     numbers = measurements.number[paths.frame[gap]]
     filled = Tracks.of(numbers, name[paths.row[before[gap]]], boxes[gap], confidence[gap], -1)
     renamed = replace(tracks, identity=name, xyxy=xyxy)
     hidden = _duplicates(tracks, paths, measurements, name)
-    hidden[paths.row[has_row & ~shown]] = True
+    hidden[paths.row[has_row & ~on_target]] = True
     return _numbered(Tracks.concatenate([renamed.select(~hidden), filled]))
-
-
-def _on_target(
-    paths: Paths, states: Smoothed, confidence: F8, measurements: MeasurementHistory, model: Model
-) -> Bool:
-    """(M,) whether the box of each row lies on a target more probably than not.
-
-    So do all that rest on a measurement, and those of frames in which nothing was measured, where
-    perhaps no detector ran. ``confidence`` (M,): the probability that there is a target.
-    """
-    shown = np.ones(len(confidence), np.bool_)
-    measured = np.diff(measurements.start)[paths.frame] > 0
-    unseen = np.flatnonzero((paths.measurement < 0) & measured)
-    if len(unseen):
-        x = np.ascontiguousarray(states.mean[unseen].T)
-        there = on_target(model, x, states.covariance[unseen])
-        shown[unseen] = confidence[unseen] * there > _SHOWN
-    return shown
 
 
 def _names(tracks: Tracks, paths: Paths) -> I8:

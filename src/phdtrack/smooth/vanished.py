@@ -34,9 +34,7 @@ from phdtrack.types import F8, Tracks
 
 # Detections after which, on average, a false alarm that comes again and again stops.
 REPEATED = 8.0
-# By how many times the odds of a track's best moment are too high. On real sequences one in six
-# tracks that were never sure and stopped in view was a target, where six in seven were claimed;
-# from 8 to 30 it makes little difference (docs/decisions.md).
+# By how many times the odds of a track's best moment are too high (docs/decisions.md).
 FLATTERY = 15.0
 # Frames after a track's end that are looked at.
 _FRAMES = 50
