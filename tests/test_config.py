@@ -30,6 +30,7 @@ NEEDED = {
     ("clutter", "ground"): PLANE,
     ("birth", "uniform"): ["motion.kind='point'", *PARTICLES],
     ("extract", "kmeans"): PARTICLES,
+    ("extract", "kmeans-printed"): PARTICLES,
     ("extract", "mixture"): PARTICLES,
     ("sensor", "point"): ["motion.kind='point'"],
     ("birth", "point"): ["motion.kind='point'"],

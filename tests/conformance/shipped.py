@@ -31,6 +31,7 @@ from phdtrack.filters import (
     NoFilter,
     ParticleCPHD,
     ParticlePHD,
+    PrintedKMeans,
     Raw,
 )
 from phdtrack.filters.hypotheses import Cluster, Nodes
@@ -164,6 +165,7 @@ FILTERS = {
 }
 EXTRACTORS = {
     "kmeans": KMeans(),
+    "kmeans-printed": PrintedKMeans(),
     "mixture": Mixture(),
     "components": Components(),
     "joint": Joint(),

@@ -44,13 +44,11 @@ def test_uniform_births_of_points_have_no_size(rng):
 
 
 def test_the_preset_is_d14s():
-    """p_D = p_S = 1, no clutter, J = 10 newborn anywhere, N particles in all, no update without
-    detections.
+    """p_D = p_S = 1, no clutter, J = 10 newborn anywhere, N particles for each target, no update
+    without detections.
     """
     stages = config.build(
-        config.load(
-            preset="d14", sets=["filter.max_particles=500", "filter.particles_per_target=500"]
-        ),
+        config.load(preset="d14", sets=["filter.particles_per_target=500"]),
         INFO,
     )
     model = stages.model
@@ -60,7 +58,7 @@ def test_the_preset_is_d14s():
     near = np.vstack([np.repeat(z, 50, axis=1), np.zeros((2, 100))])
     state = type(recursion.start(model, rng))(near, np.full(100, 0.02))
     after, info = recursion.step(state, z, model, 1.0, rng)
-    assert len(after) == 500
+    assert len(after) == 1000
     assert (info.mass, after.mass) == pytest.approx((2.0, 2.0))
     assert info.mass_predicted == pytest.approx(2.1)
     np.testing.assert_array_equal(info.clutter, 0.0)
@@ -68,9 +66,9 @@ def test_the_preset_is_d14s():
     predicted = recursion.predict(after, model, 1.0, rng)
     assert predicted.mass == pytest.approx(2.0)
     waiting, info = recursion.update(predicted, z[:, :0], model, 1.0, rng)
-    assert len(waiting) == 510
+    assert len(waiting) == 1010
     assert waiting.mass == pytest.approx(2.1)
-    assert len(recursion.reduce(waiting, rng)) == 500
+    assert len(recursion.reduce(waiting, rng)) == 1050
 
 
 @pytest.mark.parametrize(

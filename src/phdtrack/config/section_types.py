@@ -91,6 +91,7 @@ ExtractKind: TypeAlias = Literal[
     "joint",
     "hypotheses",
     "kmeans",
+    "kmeans-printed",
     "mixture",
     "components",
 ]
@@ -282,8 +283,8 @@ class SensorSection(TypedDict, total=False):
     """
 
     birth_speed_pixels: float
-    """The same in pixels per time unit, for scaling="fixed": M09's initial velocity variance of
-    200 is read as the amplitude's, which is 100 along each axis. At least 0. For kind box."""
+    """The same in pixels per time unit, for scaling="fixed"; 20 gives M09's initial velocity
+    variance of 200 along each axis. At least 0. For kind box."""
 
     gate_probability: float
     """Part of the detections of a target that its gate holds; detections touch no particles
@@ -507,7 +508,7 @@ class ExtractSection(TypedDict, total=False):
     """Settings of the section [extract]."""
 
     kind: ExtractKind
-    """One of bernoullis, joint, hypotheses, kmeans, mixture, components."""
+    """One of bernoullis, joint, hypotheses, kmeans, kmeans-printed, mixture, components."""
 
     min_weight: float
     """bernoullis: Targets that exist with less probability are not reported. Above 0, at most 1.
@@ -517,7 +518,7 @@ class ExtractSection(TypedDict, total=False):
     hypotheses: Targets that exist with less probability, if the hypothesis is true, are not
     reported. Above 0, at most 1.
 
-    kmeans: T, clusters of less mass are not targets; M07's 0.6. Above 0.
+    kmeans, kmeans-printed: T, clusters of less mass are not targets; M07's 0.6. Above 0.
 
     mixture: Components of less mass are not targets; M09's 0.5. Above 0.
 
@@ -538,6 +539,8 @@ class ExtractSection(TypedDict, total=False):
 
     split_weight: float
     """kmeans: Clusters of more mass are several targets. Above 0.
+
+    kmeans-printed: Clusters of more mass are several targets; M07's 1. Above 0.
 
     mixture: Components of more mass are several targets. Above 0.
     """

@@ -10,7 +10,7 @@ from phdtrack.files import lazy
 
 if TYPE_CHECKING:
     from phdtrack.filters.cphd import GMCPHD, ParticleCPHD
-    from phdtrack.filters.extract import Components, KMeans, Mixture
+    from phdtrack.filters.extract import Components, KMeans, Mixture, PrintedKMeans
     from phdtrack.filters.mcmc import MCMC, Joint
     from phdtrack.filters.none import NoFilter, Raw
     from phdtrack.filters.phd_gaussian import GMPHD
@@ -24,7 +24,9 @@ if not TYPE_CHECKING:
         __name__,
         {
             **dict.fromkeys(("GMCPHD", "ParticleCPHD"), "phdtrack.filters.cphd"),
-            **dict.fromkeys(("Components", "KMeans", "Mixture"), "phdtrack.filters.extract"),
+            **dict.fromkeys(
+                ("Components", "KMeans", "Mixture", "PrintedKMeans"), "phdtrack.filters.extract"
+            ),
             **dict.fromkeys(("MCMC", "Joint"), "phdtrack.filters.mcmc"),
             **dict.fromkeys(("NoFilter", "Raw"), "phdtrack.filters.none"),
             "GMPHD": "phdtrack.filters.phd_gaussian",
@@ -50,5 +52,6 @@ __all__ = [
     "NoFilter",
     "ParticleCPHD",
     "ParticlePHD",
+    "PrintedKMeans",
     "Raw",
 ]

@@ -1,5 +1,5 @@
-"""Peaks of an intensity: modified K-means [M07 §3], a Gaussian mixture by EM [M09 §III-B], or a
-mixture's components.
+"""Peaks of an intensity: modified K-means [M07 §3], as M07 prints it or as a target needs it, a
+Gaussian mixture by EM [M09 §III-B], or a mixture's components.
 
 **Clusters of particles** start on the frame's detections at rest, and on particles that no
 detection is near. A cluster heavier than the split mass is divided; clusters lighter than a
@@ -9,7 +9,8 @@ the centres near it, within `REACH` deviations in position. The paper splits abo
 well-seen target settles at up to 1/(1 − p_M p_S): 1.05 at p_D = 0.95 and 1.42 at p_D = 0.7, so its
 halves would both fall below the threshold of 0.6 and it would vanish. The split mass here is 1.5:
 above what one target can weigh down to p_D = 0.67, below what two weigh once they are established,
-and half of it is still above the threshold.
+and half of it is still above the threshold. `PrintedKMeans` is the paper's rule word by word, for
+its experiments.
 
 **Joining.** A detector that suppresses overlapping boxes never reports two objects whose boxes
 overlap by much. Where two states do, it has fired twice on one object, at two scales or on two
@@ -55,6 +56,8 @@ Intensity = Particles | ParticleBlocks
 # A cluster reaches this many deviations of the measurement noise. Wide, because a target that was
 # missed spreads.
 REACH = 8.0
+# A reach beyond every picture: no window.
+UNBOUNDED = 1e9
 # A component of less mass has no shape; its particles fall to its neighbours.
 SHAPELESS = 1e-3
 # Lightest peak that is a candidate where peaks are counted: a component of a mixture, and a K-means
@@ -120,6 +123,42 @@ class KMeans(_Extraction):
         )
         heavy = heavy_enough(found, sensor, lightest, split)
         return finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedKMeans(_Extraction):
+    """Settings of the modified K-means as M07 prints it [M07 §3].
+
+    Clusters start on the detections at rest, and nowhere else: mass that no detection is near
+    belongs to the nearest of them. While a cluster weighs more than ``split_weight``, a new centre
+    is put on its farthest particle, and all centres move until they rest. No light clusters are
+    joined. A target that weighs 1.05, as a well-seen one does if p_D is 0.95, is halved, and both
+    halves are dropped.
+
+    Parameters
+    ----------
+    min_weight : T, clusters of less mass are not targets; M07's 0.6.
+    split_weight : clusters of more mass are several targets; M07's 1.
+    iterations : how often a cluster's centre may move, and again after each split of it: more often
+        than it does until it rests.
+    """
+
+    min_weight: Positive = 0.6
+    split_weight: Positive = 1.0
+    iterations: PositiveCount = 100
+
+    def _peaks(self, state: Intensity, z: F8, model: Model, *, counting: bool) -> Estimates:
+        """The clusters heavy enough; none in a frame without detections to start from."""
+        lightest, split = (
+            (LIGHTEST_CLUSTER, NEVER_SPLIT) if counting else (self.min_weight, self.split_weight)
+        )
+        if state.mass < lightest or z.shape[1] == 0:
+            return Estimates.empty(model.motion.dim)
+        centres = model.sensor.states(z)[0]
+        scales = np.ascontiguousarray(model.sensor.noise(centres).T)
+        rule = Rule(UNBOUNDED, split, self.iterations, until_light=True)
+        found = kmeans(known_blocks(state), np.ascontiguousarray(centres.T), scales, rule)
+        return finish(kept(found, found.weight >= lightest), z, model)
 
 
 @dataclass(frozen=True, slots=True)

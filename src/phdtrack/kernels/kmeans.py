@@ -41,15 +41,20 @@ STRAY = 0.05
 # Pairs of a block and a centre in its reach after which nothing is divided any more: hundreds of
 # targets in one heap.
 MOST_PAIRS = 400_000
+# Rounds of divisions of a rule that divides until all clusters are light; each adds a centre to
+# every heavy one.
+MOST_ROUNDS = 200
 
 
 class Rule(NamedTuple):
     """``reach``: half a window's side in deviations. ``split``: heavier clusters are divided.
-    ``iterations``: how often a centre may move, and again after each division of its cluster."""
+    ``iterations``: how often a centre may move, and again after each division of its cluster.
+    ``until_light``: divide until no cluster is heavier, whatever the parts are."""
 
     reach: float
     split: float
     iterations: int
+    until_light: bool = False
 
 
 class Centres(NamedTuple):
@@ -606,6 +611,21 @@ def _count_strays(mass: F8, parent: I8, strays: I8, split: float) -> None:
             strays[j] = strays[i]
 
 
+@njit(**INNER)
+def _most_rounds(rule: Rule, mass: float) -> int:
+    """The largest number of rounds of divisions for particles of this mass."""
+    if rule.until_light:
+        return MOST_ROUNDS
+    return 1 + int(np.ceil(2.0 * mass / rule.split))
+
+
+@njit(**INNER)
+def _to_divide(mass: F8, strays: I8, rule: Rule) -> I8:
+    """(k,) 1 for the clusters that are to be divided."""
+    patient = (strays < PATIENCE) | rule.until_light
+    return ((mass > rule.split) & patient).astype(np.int64)
+
+
 @njit(**(ENTRY | {"fastmath": FAST}))
 def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
     """Masses, means and covariances of the clusters that start at k ``centres`` (k, d).
@@ -630,7 +650,7 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
     parent = np.empty(0, np.int64)
     far = parent
     pairs = 0 * k
-    for turn in range(1 + int(np.ceil(2.0 * blocks.mass.sum() / rule.split))):
+    for turn in range(_most_rounds(rule, blocks.mass.sum())):
         if turn > 0:
             # Divide the heavy clusters at their farthest particles.
             new = _divided(blocks, now, far, parent, rule.reach)
@@ -645,11 +665,11 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
         scratch = Scratch(row, which, np.empty((2, k), np.int64))
         mass = _settle(blocks, box, near, now, moved, steps, rule.iterations, scratch, sums)
         _count_strays(mass, parent, strays, rule.split)
-        heavy = ((mass > rule.split) & (strays < PATIENCE)).astype(np.int64)
+        heavy = _to_divide(mass, strays, rule)
         far = _farthest(blocks, box, near, now, heavy, scratch)
         parent = np.flatnonzero(far >= 0)
         pairs += near.component.size
-        if parent.size == 0 or pairs > MOST_PAIRS:
+        if parent.size == 0 or (pairs > MOST_PAIRS and not rule.until_light):
             break
     out: Gaussians = _moments(blocks, box, near, now, scratch, sums)
     return out

@@ -88,8 +88,8 @@ class BoxSensor(Checked):
     birth_speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time
         unit. No paper gives it; 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk for a
         standing person.
-    birth_speed_pixels : the same in pixels per time unit, for ``scaling="fixed"``: M09's initial
-        velocity variance of 200 is read as the amplitude's, which is 100 along each axis.
+    birth_speed_pixels : the same in pixels per time unit, for ``scaling="fixed"``; 20 gives M09's
+        initial velocity variance of 200 along each axis.
     gate_probability : part of the detections of a target that its gate holds; detections touch no
         particles beyond. 1: no gate.
     """
@@ -100,7 +100,7 @@ class BoxSensor(Checked):
     scaling: Scaling = "particle"
     fixed_noise: tuple[Positive, Positive] = (3.0**0.5, 6.0**0.5)
     birth_speed: NonNegative = 0.13
-    birth_speed_pixels: NonNegative = 200.0**0.5
+    birth_speed_pixels: NonNegative = 20.0
     gate_probability: Share = GATE
     occlusion: ClassVar[bool] = False
     observed: ClassVar[tuple[int, ...]] = OBSERVED
