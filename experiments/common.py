@@ -25,6 +25,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from experiments import made
+from experiments.claims import Claim, claims_table, claims_text
 from experiments.delays import first_output_delays
 from phdtrack import config, pipeline
 from phdtrack.compare.statistics import Interval
@@ -267,10 +268,14 @@ def with_scene(
 
 def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: Options) -> list[B]:
     """Run ``work`` on ``jobs`` in worker processes; results in the order of the jobs, progress on
-    stderr.
+    stderr. A short form runs in this process unless a number of processes is given: loading the
+    kernels in each would take longer than the runs.
 
     On a terminal the progress is one line that is updated, elsewhere a line now and then.
     """
+    if options.quick and not options.jobs:
+        _say(f"{label}: {len(jobs)} runs")
+        return [work(job) for job in jobs]
     processes = min(options.jobs or os.cpu_count() or 1, max(len(jobs), 1))
     _say(f"{label}: {len(jobs)} runs, {processes} at a time")
     began = last_line = time.perf_counter()
@@ -393,11 +398,14 @@ def filled(template: str, **values: object) -> str:
     return (PAGES / f"{template}.md").read_text(encoding="utf-8").format(**values)
 
 
-def write(name: str, options: Options, **values: object) -> Path:
-    """Fill the template of a page, write it with its provenance, and print its path.
+def write(name: str, options: Options, claims: Sequence[Claim] = (), **values: object) -> Path:
+    """Fill the template of a page, write it with its provenance, and print its path; ``claims`` of
+    a paper stand on the page as a table, and are printed.
 
     The page of a short form states that it is not a result.
     """
+    if claims:
+        values["claims"] = claims_table(claims)
     text = filled(name, **values)
     if options.quick:
         text = _NO_RESULTS + text
@@ -407,6 +415,8 @@ def write(name: str, options: Options, **values: object) -> Path:
     text += made.record(options.folder, name, command, made.loaded() | _LOADED)
     path = options.folder / f"{name}.md"
     path.write_text(text, encoding="utf-8")
+    if claims:
+        print(claims_text(claims), flush=True)
     _say(f"{path} is written")
     return path
 

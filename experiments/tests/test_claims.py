@@ -1,0 +1,40 @@
+"""Verdicts on claims, and the two forms in which they are shown."""
+
+from __future__ import annotations
+
+import pytest
+
+from experiments.claims import Claim, claims_table, claims_text
+
+
+def claim(**where: bool) -> Claim:
+    return Claim("A above B", "+9 %", "word by word", "+3 %", where)
+
+
+@pytest.mark.parametrize(
+    ("where", "verdict"),
+    [
+        ({}, "not measured"),
+        ({"a": True}, "holds"),
+        ({"a": False}, "does not hold"),
+        ({"a": True, "b": True}, "holds on all 2"),
+        ({"a": False, "b": False}, "holds on none of 2"),
+        ({"a": True, "b": False, "c": False}, "holds on 1 of 3: a"),
+        ({"a": True, "b": False, "c": True}, "holds on 2 of 3, not on b"),
+        (dict.fromkeys("abcde", True) | dict.fromkeys("vwxyz", False), "holds on 5 of 10"),
+    ],
+)
+def test_the_verdict_says_where_a_claim_holds(where: dict[str, bool], verdict: str) -> None:
+    assert claim(**where).verdict == verdict
+
+
+def test_a_claim_in_two_forms_is_written_once() -> None:
+    claims = [claim(a=True), claim(a=False)]
+    lines = claims_table(claims).splitlines()
+    assert lines[2] == "| A above B | +9 % | word by word | +3 % | **holds** |"
+    assert lines[3] == "|  |  | word by word | +3 % | **does not hold** |"
+    assert claims_text(claims) == (
+        "A above B (printed: +9 %)\n"
+        "    word by word  +3 %: HOLDS\n"
+        "    word by word  +3 %: DOES NOT HOLD"
+    )
