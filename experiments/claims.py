@@ -76,6 +76,6 @@ def claims_text(claims: Sequence[Claim]) -> str:
     for one in claims:
         if one.claim != before:
             lines.append(f"{one.claim} (printed: {one.printed})")
-        lines.append(f"    {one.form:<{width}}  {one.ours}: {one.verdict.upper()}")
+        lines.append(f"    {one.form:<{width}}  {one.ours}: {one.verdict}")
         before = one.claim
     return "\n".join(lines)

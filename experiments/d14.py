@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments import d14_printed
 from experiments.common import Options, in_parallel, table, write
 from experiments.corridor import centroids
 from experiments.d14_pictures import pictures
@@ -47,9 +48,6 @@ PEOPLE = ("corridor", "caviar")
 BEYOND = 16000
 PHD, JOINT, TRUE, GREEDY = FILTERS
 CHAINS = (JOINT, TRUE, GREEDY)
-# D14's figures over all settings and at N = 4000, with its times in seconds; its MCMC filter is the
-# greedy one.
-PAPER = {PHD: ("0.002–1.11", "0.002–0.40", "53"), GREEDY: ("0.11–1.28", "0.11–1.27", "63")}
 Results = Mapping[CorridorRun, RunErrors]
 Measure = Callable[[RunErrors], float]
 
@@ -226,7 +224,7 @@ def target_tables(found: CorridorErrors) -> str:
 
 
 def ranges(found: CorridorErrors) -> str:
-    """The paper's ranges and ours, over variances, worlds and targets, of means over seeds."""
+    """Our ranges over variances, worlds and targets, of means over seeds."""
     rows = []
     for name in FILTERS:
         cells = []
@@ -237,11 +235,10 @@ def ranges(found: CorridorErrors) -> str:
                     for world in PEOPLE for variance in VARIANCES for number in numbers
                 ])  # fmt: skip
                 cells.append(f"{np.nanmin(each):.2f}–{np.nanmax(each):.2f}")
-        paper = PAPER.get(name, ("", "", ""))
-        rows.append((name, paper[0], *cells[:2], paper[1], *cells[2:]))
-    each_n = ("ours, truth", "ours, z")
-    last = (f"paper, N = {NUMBERS[-1]}", *(f"{one}, N = {found.numbers[-1]}" for one in each_n))
-    return table(("", "paper, all N", *each_n, *last), rows)
+        rows.append((name, *cells))
+    each_n = ("truth", "z")
+    last = (f"{one}, N = {found.numbers[-1]}" for one in each_n)
+    return table(("", *each_n, *last), rows)
 
 
 def typical(found: CorridorErrors, world: str, name: str, number: int) -> float:
@@ -252,15 +249,17 @@ def typical(found: CorridorErrors, world: str, name: str, number: int) -> float:
 
 
 def times(found: CorridorErrors) -> str:
-    """Seconds for each sequence, by filter and N. The paper's values are in the row of the
-    corridor.
+    """Seconds for each sequence, by filter and N. The paper's values, means over its variances, are
+    in the rows of the corridor.
     """
     rows = []
     for world, title in WORLDS.items():
         for number in found.numbers:
             each = [typical(found, world, name, number) for name in FILTERS]
-            measured = world == "corridor" and number == NUMBERS[-1]
-            paper = [PAPER[name][2] if measured else "" for name in (PHD, GREEDY)]
+            paper = ["", ""]
+            if world == d14_printed.WORLD:
+                cells = [each_of[number] for each_of in d14_printed.PRINTED.values()]
+                paper = [f"{np.mean([one[k] for one in cells]):.1f}" for k in (3, 1)]
             rows.append(
                 (
                     f"{title}, {INFOS[world].frames} frames",
@@ -294,6 +293,8 @@ def figures(found: CorridorErrors) -> dict[str, object]:
         "missed": whole(found, with_misses),
         "seen": whole(found, detected),
         "targets": target_tables(found),
+        "cells": d14_printed.cells_table(found.results, found.numbers, found.seeds),
+        "readings": d14_printed.readings_table(found.results, found.numbers, found.seeds),
         "ranges": ranges(found),
         "times": times(found),
         "seeds": found.seeds,
@@ -327,4 +328,5 @@ def main(options: Options) -> Path:
         dict(zip(jobs, in_parallel(work, jobs, "d14", options), strict=True)), numbers, seeds
     )
     pictures(found.results, numbers, seeds, options.folder)
-    return write("d14", options, **figures(found))
+    claims = d14_printed.claims(found.results, numbers, seeds)
+    return write("d14", options, claims, **figures(found))

@@ -51,6 +51,8 @@ FILTERS = {
 """The filter in place of the preset's, but for N. With ``joint`` all targets of a sample have one
 ancestor.
 """
+# The SMC PHD filter with N particles in all, in place of N for each estimated target.
+IN_ALL = "SMC PHD, N in all"
 MODEL_SEEDS = 3
 """At most so many seeds of the points drawn from the model, each of which draws paths too."""
 SETTLED = 25
@@ -131,13 +133,12 @@ def stages_of(job: CorridorRun) -> AnyStages:
     )
     if job.filter == KALMAN:
         return stages
-    chain = FILTERS[job.filter]
+    chain = FILTERS.get(job.filter)
     if chain is None:
+        most = job.number if job.filter == IN_ALL else 0
         return replace(
             stages,
-            filter=replace(
-                stages.filter, particles_per_target=job.number, max_particles=job.number
-            ),
+            filter=replace(stages.filter, particles_per_target=job.number, max_particles=most),
         )
     return replace(
         stages, filter=replace(chain, samples=job.number), extractor=Joint(merge_iou=1.0)
@@ -152,7 +153,7 @@ def track(job: CorridorRun) -> tuple[Points, float]:
     if job.filter == KALMAN:
         found = kalman(stages.model, scans)
         return found, time.thread_time() - began
-    named = FILTERS[job.filter] is not None
+    named = FILTERS.get(job.filter) is not None
     rng = np.random.default_rng([job.seed, job.number, 1])
     state = stages.filter.start(stages.model, rng)
     points = []
@@ -278,4 +279,9 @@ def jobs_of(numbers: Sequence[int], seeds: int) -> list[CorridorRun]:
         if seed < seeds_of(world, seeds)
         for variance in VARIANCES
         for name, number in filters
+    ] + [
+        CorridorRun("corridor", IN_ALL, number, variance, seed)
+        for seed in range(seeds)
+        for variance in VARIANCES
+        for number in numbers
     ]

@@ -35,6 +35,6 @@ def test_a_claim_in_two_forms_is_written_once() -> None:
     assert lines[3] == "|  |  | word by word | +3 % | **does not hold** |"
     assert claims_text(claims) == (
         "A above B (printed: +9 %)\n"
-        "    word by word  +3 %: HOLDS\n"
-        "    word by word  +3 %: DOES NOT HOLD"
+        "    word by word  +3 %: holds\n"
+        "    word by word  +3 %: does not hold"
     )

@@ -9,10 +9,12 @@ import math
 import numpy as np
 import pytest
 
-from experiments import d14
+from experiments import d14, d14_printed
+from experiments.claims import WORDS
 from experiments.d14_runs import (
     FILTERS,
     GATE,
+    IN_ALL,
     KALMAN,
     VARIANCES,
     CorridorRun,
@@ -26,6 +28,7 @@ from experiments.d14_runs import (
     track,
     work,
 )
+from phdtrack.types import Particles
 
 
 def test_the_models_posterior_deviation_is_the_papers():
@@ -85,7 +88,7 @@ def test_all_filters_get_the_same_measurements():
         phd.filter.particles_per_target,
         phd.filter.max_particles,
         phd.filter.skip_empty_frames,
-    ) == (300, 300, True)
+    ) == (300, 0, True)
     assert (true.filter.samples, true.filter.burn_in, true.filter.thin, true.filter.greedy) == (
         300,
         50,
@@ -149,3 +152,51 @@ def test_with_misses_who_is_not_located_is_the_gate_away():
     # Half of one target's frames at 2 px, the other half and all of the other target's missed: (½·4
     # + ½·50 + 50) / 2.
     assert d14.with_misses(outcome([2.0, math.nan], [0.5, 0.0])) == pytest.approx(math.sqrt(38.5))
+
+
+def test_n_is_for_each_estimated_target():
+    """As D14 prints it: two targets have twice N particles; the other reading has N in all."""
+    rng = np.random.default_rng(2)
+    for name, count in (("SMC PHD", 400), (IN_ALL, 200)):
+        stages = stages_of(CorridorRun("corridor", name, 200, 1.0, 0))
+        place = np.array([[100.0, 250], [100, 200], [0, 0], [0, 0]])
+        near = np.repeat(place, 100, axis=1)
+        state, _ = stages.filter.step(
+            Particles(near, np.full(200, 0.01)), place[:2], stages.model, 1.0, rng
+        )
+        assert len(state) == count
+
+
+def test_the_papers_tables_have_96_cells():
+    cells = [
+        value
+        for of in d14_printed.PRINTED.values()
+        for mcmc, _, phd, _ in of.values()
+        for value in (*mcmc, *phd)
+    ]
+    assert len(cells) == 96
+    assert (min(cells), max(cells)) == (0.002, 1.28)
+    assert set(d14_printed.PRINTED) == set(VARIANCES)
+    assert {number for of in d14_printed.PRINTED.values() for number in of} == set(d14.NUMBERS)
+
+
+def test_claims_of_d14_for_made_up_errors():
+    """The PHD filter's error falls and is below the chain's, which doubles with σ²."""
+    results = {}
+    for variance in VARIANCES:
+        for number in d14.NUMBERS:
+            for name in FILTERS:
+                root = np.sqrt(np.array([0.24, 0.28, 0.52, 0.6]) * variance)
+                if name == "SMC PHD":
+                    root = root * 10 / np.sqrt(number) * 0.9
+                run = RunErrors(root, root, np.ones(4), 1.0, 1.0, 1.0, 1.0, 0.0, 1.0)
+                results[CorridorRun("corridor", name, number, variance, 0)] = run
+    claims = d14_printed.claims(results, d14.NUMBERS, 1)
+    verdict = {(one.claim, one.form): one.verdict for one in claims}
+    assert set(verdict.values()) == {"holds on all 12", "holds on all 3", "holds on all 4"} | {
+        "holds on none of 4"
+    }
+    assert verdict["SMC PHD takes less time than MCMC", WORDS] == "holds on none of 4"
+    first = claims[0]
+    assert first.printed == "in 43 of 48 cells"
+    assert first.ours == "in 48 of 48 cells"

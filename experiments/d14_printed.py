@@ -1,0 +1,226 @@
+"""D14's printed Tables I–III beside ours, cell by cell, and its claims.
+
+The paper prints errors of four targets, for three measurement variances and four numbers of
+particles, of two filters: 96 cells. The figures of its MCMC filter double when σ² doubles, as mean
+squared errors do and roots do not, so both are shown.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from experiments.claims import MENDED, WORDS, Claim
+from experiments.common import table
+from experiments.d14_runs import IN_ALL, CorridorRun, RunErrors
+from phdtrack.types import F8
+
+PHD, MCMC = "SMC PHD", "MCMC greedy"
+SAMPLER = "MCMC"
+WORLD = "corridor"
+# By σ² and N: errors of the targets and seconds, of the MCMC filter and of the SMC PHD filter.
+Cells = tuple[float, float, float, float]
+PRINTED: Mapping[float, Mapping[int, tuple[Cells, float, Cells, float]]] = {
+    0.5: {
+        100: ((0.12, 0.14, 0.28, 0.31), 3.06, (0.01, 0.02, 0.72, 0.20), 2.00),
+        500: ((0.12, 0.13, 0.27, 0.30), 9.25, (0.003, 0.01, 0.40, 0.11), 7.21),
+        1000: ((0.11, 0.13, 0.27, 0.30), 16.9, (0.003, 0.008, 0.32, 0.10), 13.8),
+        4000: ((0.11, 0.12, 0.27, 0.30), 63.4, (0.002, 0.006, 0.18, 0.07), 53.1),
+    },
+    1.0: {
+        100: ((0.21, 0.28, 0.55, 0.59), 3.14, (0.01, 0.05, 0.92, 0.30), 1.74),
+        500: ((0.22, 0.29, 0.54, 0.59), 9.25, (0.01, 0.03, 0.58, 0.18), 7.32),
+        1000: ((0.23, 0.28, 0.53, 0.60), 17.0, (0.008, 0.02, 0.40, 0.14), 13.5),
+        4000: ((0.24, 0.28, 0.52, 0.60), 62.8, (0.008, 0.02, 0.27, 0.13), 53.4),
+    },
+    2.0: {
+        100: ((0.51, 0.52, 1.12, 1.28), 3.13, (0.04, 0.07, 1.11, 0.48), 1.72),
+        500: ((0.50, 0.51, 1.14, 1.27), 9.37, (0.03, 0.06, 0.68, 0.33), 7.10),
+        1000: ((0.46, 0.50, 1.14, 1.27), 17.1, (0.03, 0.06, 0.48, 0.30), 13.8),
+        4000: ((0.45, 0.48, 1.10, 1.27), 63.6, (0.03, 0.06, 0.40, 0.28), 53.3),
+    },
+}
+
+Results = Mapping[CorridorRun, RunErrors]
+
+
+def squares(results: Results, name: str, number: int, variance: float, seeds: int) -> F8:
+    """(G,) mean squared errors of the targets to the truth, per axis, over the seeds."""
+    each = [
+        results[CorridorRun(WORLD, name, number, variance, seed)].truth ** 2
+        for seed in range(seeds)
+    ]
+    return np.asarray(np.nanmean(each, axis=0))
+
+
+def to_z(results: Results, name: str, number: int, variance: float, seeds: int) -> F8:
+    """(G,) the same to the measurements."""
+    each = [
+        results[CorridorRun(WORLD, name, number, variance, seed)].measurement ** 2
+        for seed in range(seeds)
+    ]
+    return np.asarray(np.nanmean(each, axis=0))
+
+
+def cells_table(results: Results, numbers: Sequence[int], seeds: int) -> str:
+    """All cells: a row for each filter, variance and N; for every target the printed figure, our
+    mean square and our root.
+    """
+    rows = []
+    for name, which in ((MCMC, 0), (PHD, 2)):
+        for variance, of in PRINTED.items():
+            for number in numbers:
+                ours = squares(results, name, number, variance, seeds)
+                cells = (
+                    f"{printed:g} / {mine:.2f} / {np.sqrt(mine):.2f}"
+                    for printed, mine in zip(of[number][which], ours, strict=True)
+                )
+                rows.append((name, f"{variance:g}", number, *cells))
+    return table(("", "σ²", "N", *(f"target {k}" for k in range(1, 5))), rows)
+
+
+def readings_table(results: Results, numbers: Sequence[int], seeds: int) -> str:
+    """The root of the SMC PHD filter's mean squared error over targets and variances, with N for
+    each estimated target and N in all, and the share of frames in which a target is located.
+    """
+    rows = []
+    for number in numbers:
+        cells: list[str] = []
+        for name in (PHD, IN_ALL):
+            each = [squares(results, name, number, variance, seeds) for variance in PRINTED]
+            located = [
+                results[CorridorRun(WORLD, name, number, variance, seed)].located
+                for variance in PRINTED
+                for seed in range(seeds)
+            ]
+            cells += [f"{np.sqrt(np.mean(each)):.2f}", f"{100 * np.mean(located):.0f} %"]
+        rows.append((number, *cells))
+    return table(("N", "for each target", "located", "in all", "located"), rows)
+
+
+def claims(results: Results, numbers: Sequence[int], seeds: int) -> list[Claim]:
+    """D14's claims, word by word and with the sampler in place of the chain as printed."""
+
+    def mine(name: str, number: int, variance: float) -> F8:
+        return squares(results, name, number, variance, seeds)
+
+    out = []
+    for form, chain in ((WORDS, MCMC), (MENDED, SAMPLER)):
+        out.append(_order("the truth", form, numbers, mine, chain))
+    out.append(
+        _order("the detections", WORDS, numbers, lambda *of: to_z(results, *of, seeds), MCMC)
+    )
+    for form, chain in ((WORDS, MCMC), (MENDED, SAMPLER)):
+        out.append(_saturates(form, numbers, mine, chain))
+    out.append(_falls(numbers, mine))
+    for form, chain in ((WORDS, MCMC), (MENDED, SAMPLER)):
+        out.append(_doubles(form, numbers, mine, chain))
+    return [*out, _faster(results, numbers, seeds)]
+
+
+Errors = Callable[[str, int, float], F8]
+
+
+def _order(of: str, form: str, numbers: Sequence[int], mine: Errors, chain: str) -> Claim:
+    """The SMC PHD filter has the lower error, target by target."""
+    printed = [
+        phd < mcmc
+        for cells in PRINTED.values()
+        for of_mcmc, _, of_phd, _ in cells.values()
+        for phd, mcmc in zip(of_phd, of_mcmc, strict=True)
+    ]
+    lower = {
+        f"σ² = {variance:g}, N = {number}": mine(PHD, number, variance)
+        < mine(chain, number, variance)
+        for variance in PRINTED
+        for number in numbers
+    }
+    won = np.concatenate(list(lower.values()))
+    return Claim(
+        f"SMC PHD has a lower error to {of} than MCMC",
+        f"in {sum(printed)} of {len(printed)} cells",
+        form,
+        f"in {int(won.sum())} of {len(won)} cells",
+        {name: bool(each.mean() > 0.5) for name, each in lower.items()},
+    )
+
+
+def _saturates(form: str, numbers: Sequence[int], mine: Errors, chain: str) -> Claim:
+    few, many = numbers[0], numbers[-1]
+    ratio = {
+        f"σ² = {variance:g}": float(
+            mine(chain, many, variance).mean() / mine(chain, few, variance).mean()
+        )
+        for variance in PRINTED
+    }
+    printed = [np.mean(cells[4000][0]) / np.mean(cells[100][0]) for cells in PRINTED.values()]
+    return Claim(
+        "the MCMC filter's error hardly depends on N",
+        f"{', '.join(f'{one:.2f}' for one in printed)} times from N = 100 to 4000",
+        form,
+        f"{', '.join(f'{one:.2f}' for one in ratio.values())} times from N = {few} to {many}",
+        {name: bool(abs(one - 1) < 0.15) for name, one in ratio.items()},
+    )
+
+
+def _falls(numbers: Sequence[int], mine: Errors) -> Claim:
+    steps = {
+        f"σ² = {variance:g}": [float(mine(PHD, number, variance).mean()) for number in numbers]
+        for variance in PRINTED
+    }
+    printed = [np.mean(cells[4000][2]) / np.mean(cells[100][2]) for cells in PRINTED.values()]
+    return Claim(
+        "the SMC PHD filter's error falls with N",
+        f"{', '.join(f'{one:.2f}' for one in printed)} times from N = 100 to 4000",
+        WORDS,
+        f"{', '.join(f'{each[-1] / each[0]:.2f}' for each in steps.values())} times from"
+        f" N = {numbers[0]} to {numbers[-1]}",
+        {name: all(b < a for a, b in itertools.pairwise(each)) for name, each in steps.items()},
+    )
+
+
+def _doubles(form: str, numbers: Sequence[int], mine: Errors, chain: str) -> Claim:
+    ratios = {
+        f"N = {number}": float(mine(chain, number, 2.0).mean() / mine(chain, number, 0.5).mean())
+        for number in numbers
+    }
+    printed = [
+        np.mean(PRINTED[2.0][number][0]) / np.mean(PRINTED[0.5][number][0])
+        for number in PRINTED[2.0]
+    ]
+    return Claim(
+        "the MCMC filter's figures grow with σ² as mean squares do: 4 times from 0.5 to 2",
+        f"{min(printed):.1f} to {max(printed):.1f} times",
+        form,
+        f"mean squares {min(ratios.values()):.1f} to {max(ratios.values()):.1f} times, roots"
+        f" {min(ratios.values()) ** 0.5:.1f} to {max(ratios.values()) ** 0.5:.1f}",
+        {name: bool(3 <= one <= 5) for name, one in ratios.items()},
+    )
+
+
+def _faster(results: Results, numbers: Sequence[int], seeds: int) -> Claim:
+    spent = {
+        number: [
+            float(
+                np.median(
+                    [
+                        results[CorridorRun(WORLD, name, number, variance, seed)].seconds
+                        for variance in PRINTED
+                        for seed in range(seeds)
+                    ]
+                )
+            )
+            for name in (PHD, MCMC)
+        ]
+        for number in numbers
+    }
+    last = spent[numbers[-1]]
+    return Claim(
+        "SMC PHD takes less time than MCMC",
+        "53 and 63 s at N = 4000",
+        WORDS,
+        f"{last[0]:.1f} and {last[1]:.1f} s at N = {numbers[-1]}",
+        {f"N = {number}": phd < mcmc for number, (phd, mcmc) in spent.items()},
+    )
