@@ -422,10 +422,14 @@ def write(name: str, options: Options, claims: Sequence[Claim] = (), **values: o
 
 
 def write_parts(
-    name: str, options: Options, order: Iterable[str], parts: Mapping[str, str]
+    name: str,
+    options: Options,
+    order: Iterable[str],
+    parts: Mapping[str, str],
+    claims: Sequence[Claim] = (),
 ) -> Path:
     """Put new ``parts`` into a page, keep the others that it has, each with its own provenance, and
-    print its path. The page begins with its template.
+    print its path, and the ``claims`` of a paper. The page begins with its template.
 
     The page of a short form has the new ones and those of earlier short forms.
     """
@@ -445,6 +449,8 @@ def write_parts(
         if part in kept:
             text += f"\n{_PART.format(part)}\n\n{kept[part].strip()}\n"
     path.write_text(text, encoding="utf-8")
+    if claims:
+        print(claims_text(claims), flush=True)
     _say(f"{path} is written")
     return path
 

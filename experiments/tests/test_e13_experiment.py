@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from experiments import e13
+from experiments.claims import WORDS
+from experiments.e13 import CrowdCounts
 
 
 def test_the_nearer_box_covers_and_the_farther_does_not():
@@ -44,7 +46,39 @@ def test_every_filter_of_the_table_counts_and_groups(sequence, monkeypatch):
     for name in e13.FILTERS:
         counts = e13.work(e13.CrowdRun(name, 1.0, 0))
         assert all(
-            each.shape == (5,) for each in (counts.mass, counts.states, counts.raw, counts.groups)
+            each.shape == (5,)
+            for each in (counts.mass, counts.rounded, counts.states, counts.raw, *counts.groups)
         )
+        assert len(counts.groups) == len(e13.WEIGHTS)
+        assert (counts.rounded >= counts.states).all() or "CPHD" in name
         assert (counts.mass > 0).all()
-        assert (counts.groups <= np.maximum(counts.mass, 1) * 2).all()
+        assert (counts.groups[e13.USUAL_WEIGHT] <= np.maximum(counts.mass, 1) * 2).all()
+
+
+def counts(mass: float, rounded: float, raw: float, groups: tuple[int, int, int]) -> CrowdCounts:
+    """The same counts in four frames."""
+    four = np.ones(4)
+    return CrowdCounts(
+        mass * four, rounded * four, 9 * four, raw * four, np.outer(np.array(groups), four)
+    )
+
+
+def test_claims_of_e13_for_made_up_counts() -> None:
+    """Ten people in three groups, and counts that do not jump."""
+    results = {
+        e13.CrowdRun(name, 0.1, 0): counts(
+            9.5 if "occlusion" in name else 8.0, 12.0, 7.0, (5, 3, 3)
+        )
+        for name in e13.FILTERS
+    }
+    found = e13.CrowdResults(results, np.full(4, 10.0), np.full(4, 3.0), (0.1,), 1)
+    words = [one for one in e13.claims_of(found) if one.form == WORDS]
+    mass, rounded, groups, jumps, hidden = words
+    assert (mass.ours, mass.verdict) == ("error 2.00, raw 3.00", "holds")
+    assert (rounded.ours, rounded.verdict) == ("error 2.00, raw 3.00", "holds")
+    assert groups.ours == "error 0.00, right in 100 % of the frames"
+    assert groups.verdict == "holds on 2 of 3, not on from weight 0.1"
+    assert jumps.verdict == "does not hold"
+    assert (hidden.ours, hidden.verdict) == ("error 0.50 with, 2.00 without", "holds")
+    assert "with the true people as hiders it is 2.00 (bias -2.00)" in e13.hidden_sentence(found)
+    assert "| 0.1 | GM-PHD | word by word | 2.00 (0 %) | 0.00 (100 %) |" in e13.weights_table(found)

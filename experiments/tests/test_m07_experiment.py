@@ -72,7 +72,7 @@ def test_nothing_is_run_twice_that_draws_nothing() -> None:
 
 
 def test_the_page_counts_cases_and_names_the_error_that_decides(found: m07.MethodScores) -> None:
-    text = filled("m07", claims="", qcif="", printed="", **m07.figures(found, found, found))
+    text = filled("m07_defaults", **m07.figures(found, found, found))
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     assert ["particle-phd", "real detections", "0", "1", "1", "1", "1", "1", "0"] in lines
     assert ["particle-phd", "simulated scenes", "5", "1", "0", "0", "1", "0", "0"] in lines
