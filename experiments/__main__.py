@@ -50,8 +50,8 @@ EXPERIMENTS = {
         "M07 Table 1, word by word and as one must: PHD against no filter; and default settings"
     ),
     "m09": Experiment(
-        "M09 Figs. 14-16: the paper's own method, births and false alarms learned, by number of"
-        " marks"
+        "M09 Figs. 14-16: births and false alarms learned, by the paper's recursion alone and with"
+        " a second pass"
     ),
     "scenes": Experiment(
         "learned scenes with the default filter: births and false alarms, part by part"

@@ -24,6 +24,11 @@ from phdtrack.types import F8, Tracks, Truth
 UM = "UM"
 GM = "GM"
 ABLATIONS = ("A1", "A2", "A3", "A4", "A5", "A6")
+# Of the paper's own filter: births of tracks that know the false alarms; the paper's recursion
+# alone; the uniform model with the rates that are best on the first half.
+AFTER = "after"
+PRINTED = "printed"
+TUNED = "UM tuned"
 # Births a second and false alarms a frame in the neighbourhood of a box; their ratio counts most.
 SWEEP = tuple((0.01, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
 # Quarters of the frames, each also scored alone.

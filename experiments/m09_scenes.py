@@ -25,7 +25,7 @@ REAL = (f"{PETS} change", f"{PETS} frcnn", f"{PETS} public")
 # ADL-Rundle-6.
 HELD_OUT = ("ADL-Rundle-6 frcnn", "KITTI-17 frcnn", "KITTI-17 public")
 FRAMES = 20_000
-SHORT = 1_000
+SHORT = 600
 # Largest distance of an object's first detection to an entrance at which it counts as entering
 # there, in mean body widths.
 _ENTRY_MARGIN = 1.0

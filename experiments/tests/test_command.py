@@ -131,12 +131,24 @@ def test_work_in_processes_keeps_the_order_and_says_what_it_does(
         if k != "videos"
     ],
 )
-def test_every_short_form_runs(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    """The pages have all their figures; the pictures that they show are there."""
+def test_every_short_form_runs(
+    name: str,
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The pages have all their figures; the pictures that they show are there. The papers' claims
+    are printed.
+    """
     if EXPERIMENTS[name].data:
         request.getfixturevalue("data")
     assert main([name, "--quick", "--runs", "1", "--jobs", "1", "--out", str(tmp_path)]) == 0
     text = (tmp_path / f"{name}.md").read_text(encoding="utf-8")
+    said = capsys.readouterr().out
+    if name in ("m07", "m09", "e13", "d14"):
+        assert "    word by word" in said
+        assert "(printed: " in said
+        assert "| **" in text
     assert "no results" in text
     pictures = [
         line.split("](")[1].rstrip(")") for line in text.splitlines() if line.startswith("![")

@@ -10,7 +10,8 @@ import pytest
 from experiments import m09, m09_lessons, m09_runs, m09_scenes, scenes
 from experiments.common import Case, uniform_density
 from experiments.m09_runs import GM, UM, SceneRun
-from phdtrack.arrays import iou
+from phdtrack import config
+from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.label.samples import REACH, Marks
 from phdtrack.models import BoxClutter, MeasurementBirth
@@ -132,7 +133,12 @@ def paper_scene(train: Case, share: float) -> m09.PaperScene:
         count: m09.Alarms(replace(one.clutter, rate=count / 10), count, 40, share)
         for count in (10, 25)
     }
-    return m09.PaperScene(one.births, 30, one.hand, alarms)
+    assert one.hand is not None
+    after = replace(one.births, rate=0.03)
+    printed = replace(one.births, rate=0.04), replace(one.clutter, rate=4.0)
+    return m09.PaperScene(
+        one.births, 30, one.hand, alarms, after, 20, 10, 19, printed, (0.003, 10.0)
+    )
 
 
 def test_the_papers_runs_have_densities_over_the_image(street) -> None:
@@ -153,6 +159,9 @@ def test_the_papers_runs_have_densities_over_the_image(street) -> None:
         UM: usual,
         GM: learned,
         m09.WHOLE: learned,
+        m09_runs.AFTER: (SceneBirth, 0.75, 0.0),
+        m09_runs.PRINTED: (SceneBirth, 1.0, 0.0),
+        m09_runs.TUNED: (MeasurementBirth, 0.075, "image"),
         "A1": learned,
         "A2": usual,
         "A3": flat,
@@ -165,6 +174,7 @@ def test_the_papers_runs_have_densities_over_the_image(street) -> None:
     false = (SceneClutter, 2.5)
     assert clutter == dict.fromkeys(models, false) | {
         UM: (BoxClutter, 1.0), "A1": (BoxClutter, 1.0), "GM 10": (SceneClutter, 1.0),
+        m09_runs.PRINTED: (SceneClutter, 4.0), m09_runs.TUNED: (BoxClutter, 10.0),
     }  # fmt: skip
     # Beside learned false alarms births have the volume of the sizes that are detected, and not
     # that of the frame.
@@ -189,6 +199,59 @@ def test_a_share_of_what_was_learned_leaves_the_rest_uniform(street) -> None:
     want = 0.9 / learned.density.volume + 0.1 * 2.5 * learned.density(inside)
     np.testing.assert_allclose(model.clutter.intensity(inside), want, rtol=1e-12)
     assert m09.mixed(stages, scene.births, learned, 0.0) is stages
+
+
+def test_fixed_variances_are_those_of_the_preset_fv(street) -> None:
+    """Of PROP in Fig. 16, untrained and trained; those of its rival are printed, too."""
+    case = street[0]
+    halved = m09_scenes.Halves("street", m09_scenes.stretch(case, 1, 300), case, np.zeros((0, 4)))
+    scene = paper_scene(halved.train, 1.0)
+    of = {
+        (filter_, run): m09.stages_of(SceneRun("street", 1, run, filter_), halved, scene)
+        for filter_, run in m09.RIVALS
+    }
+    fixed = config.build(config.load(preset="fv"), case.info)
+    assert of["fv", UM] == fixed
+    assert of["fv", m09_runs.AFTER].model.sensor == fixed.model.sensor
+    assert isinstance(of["fv", m09_runs.AFTER].model.birth, SceneBirth)
+    assert (
+        of["m09-mht", UM].model.sensor.birth_speed_pixels == fixed.model.sensor.birth_speed_pixels
+    )
+
+
+def test_printed_densities_are_the_recursion_alone(street) -> None:
+    """Over the whole image and all sizes, without a share for what was never seen."""
+    case, source, _ = street
+    false = case.table.detections.xyxy[source < 0][:200]
+    births, clutter = m09.printed_densities(Tracks.empty(), 100, false, 50, case, 25.0)
+    assert births is None, "no track, nothing to learn from"
+    assert clutter is not None
+    assert clutter.rate == pytest.approx(len(false) / 50)
+    np.testing.assert_array_equal(clutter.density.low, 0)
+    np.testing.assert_array_equal(clutter.density.high, [640, 360, 640, 360])
+    # It has found the two places, by far denser than a uniform density.
+    assert clutter.density.uniform < 0.02
+    at = to_cxcywh(false)
+    assert np.log(clutter.density(at) * clutter.density.volume).mean() > 5
+    refitted = m09_lessons.false_alarms(at, 50, case).learned.density
+    assert refitted.uniform > clutter.density.uniform
+
+
+def test_tracks_that_begin_on_nobody_are_counted(street) -> None:
+    case = street[0]
+    person = int(case.truth.identity[0])
+    rows = np.flatnonzero(case.truth.identity == person)[:5]
+    n = 2 * len(rows)
+    away = case.truth.xyxy[rows] + 1000.0
+    tracks = Tracks(
+        np.tile(case.truth.frame[rows], 2),
+        np.repeat([1, 2], len(rows)),
+        np.concatenate([case.truth.xyxy[rows], away]),
+        np.ones(n),
+        np.full(n, -1),
+        np.ones(n, np.bool_),
+    )
+    assert m09.on_objects(tracks, case) == 1
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from phdtrack.errors import InputError
 from phdtrack.kernels.mixtures import Gaussians
-from phdtrack.scene import SceneDensity, grid, learn, marginal
+from phdtrack.scene import SceneDensity, grid, learn, learn_recursively, marginal
 from phdtrack.scene.em import Samples, fit_em, moments, split_merge
 from phdtrack.types import F8
 from reference import em as defined
@@ -258,3 +258,21 @@ def test_superfluous_components_are_removed():
     assert len(found) == 1
     assert found.uniform == pytest.approx(60 / 260, abs=0.01)
     assert len(fit_em(begun, seen)) == 3
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_recursion_alone_is_what_em_begins_with(case):
+    """It finds the four places by itself, and the refit explains the samples no worse."""
+    dim, counts, n = CASES[case]
+    p = known(dim)
+    samples = drawn_of(p, n, np.random.default_rng(1))
+    start = begin(p, counts, samples)
+    alone = learn_recursively(start, samples)
+    assert alone.weight.sum() == pytest.approx(1.0)
+    assert len(alone) < len(start) / 4
+    heavy = alone.weight > 0.03
+    for place in PLACES.T:
+        assert np.hypot(*(alone.mean[:2, heavy] - place[:, None])).min() < 10
+    refitted = learn(start, samples)
+    assert refitted.log(samples).sum() > alone.log(samples).sum() - 1
+    assert learn_recursively(start, samples[:, :0]) is start

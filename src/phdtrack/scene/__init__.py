@@ -1,6 +1,6 @@
 """Learned scenes: densities of births, of false alarms and of objects [M09 §IV]."""
 
-from phdtrack.scene.em import grid, learn
+from phdtrack.scene.em import grid, learn, learn_recursively
 from phdtrack.scene.mixture import SceneDensity, marginal, shown_volume
 from phdtrack.scene.scene_file import LearnedDensity, Scene, TrackedObjects, read_scene, write_scene
 
@@ -11,6 +11,7 @@ __all__ = [
     "TrackedObjects",
     "grid",
     "learn",
+    "learn_recursively",
     "marginal",
     "read_scene",
     "shown_volume",

@@ -68,7 +68,7 @@ MAX_CROWD_SAMPLES = 1000
 
 def learn(density: SceneDensity, samples: F8) -> SceneDensity:
     """Learn a density from the samples (d, n), starting from ``density``; NaN marks components
-    that a sample does not have.
+    that a sample does not have. The recursion of `learn_recursively`, then split–merge EM.
 
     The result is deterministic, and ``density`` itself without samples. Samples outside the volume
     are ignored. Raises `InputError` for samples of another dimension, infinite or without any
@@ -83,12 +83,46 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
     -------
     The learned density.
     """
+    used = _used(density, samples)
+    if used is None:
+        return density
+    return split_merge(_recursion(density, used), used)
+
+
+def learn_recursively(density: SceneDensity, samples: F8) -> SceneDensity:
+    """Learn a density by the recursion alone, as M09 prints it [M09 §IV-B, (16)-(20)].
+
+    Parameters
+    ----------
+    density : where learning starts.
+    samples : (d, n), as in `learn`, which says what it raises.
+
+    Returns
+    -------
+    The learned density.
+    """
+    used = _used(density, samples)
+    return density if used is None else _recursion(density, used)
+
+
+def _used(density: SceneDensity, samples: F8) -> Samples | None:
+    """The samples in the volume, without gaps, and the floor of variances; None without any."""
     _check_samples(density, samples)
     used = density.contains(np.where(np.isnan(samples), density.low[:, None], samples))
     x = np.ascontiguousarray(samples[:, used])
+    if x.shape[1] == 0:
+        return None
+    x = _filled(x)
+    extent = density.high - density.low
+    mean = x.mean(axis=1)[:, None]
+    floor: F8 = np.maximum(FLOOR**2 * np.square(x - mean).mean(axis=1), (1e-4 * extent) ** 2)
+    return Samples(x, floor)
+
+
+def _recursion(density: SceneDensity, samples: Samples) -> SceneDensity:
+    """The recursion over the samples, several times in other orders."""
+    x, floor = samples
     n = x.shape[1]
-    if n == 0:
-        return density
     tau = parameters(density.dim) / 2
     rng = np.random.default_rng(0)
     # The memory of the slowest rate is 2Mτ samples; the weights of two equal components, one of
@@ -100,19 +134,15 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
     order = np.concatenate(
         [rng.permutation(n) for _ in range(passes + min(passes, SETTLING_PASSES))]
     )
-    x = _filled(x)
-    extent = density.high - density.low
-    mean = x.mean(axis=1)[:, None]
-    floor: F8 = np.maximum(FLOOR**2 * np.square(x - mean).mean(axis=1), (1e-4 * extent) ** 2)
+    volume = float(np.log(density.high - density.low).sum())
     gaussians, uniform = recursive_em(
         Gaussians(density.weight, density.mean, density.covariance),
         min(density.uniform, 1 - MIN_UNIFORM),
         np.ascontiguousarray(x.T),
         order,
-        Recursion(tau, float(n), MIN_UNIFORM, float(np.log(extent).sum()), passes * n, floor),
+        Recursion(tau, float(n), MIN_UNIFORM, volume, passes * n, floor),
     )
-    start = SceneDensity(density.low, density.high, uniform, *gaussians)
-    return split_merge(start, Samples(x, floor))
+    return SceneDensity(density.low, density.high, uniform, *gaussians)
 
 
 def grid(
