@@ -172,7 +172,7 @@ def test_claims_of_table_1_are_judged_video_by_video() -> None:
     four, mota, _, low, time = claims
     assert four.where == {"TUD-Campus": False, "shop": False}, "the overlaps of the boxes are equal"
     assert mota.where == {"TUD-Campus": True, "shop": True}
-    assert mota.ours == "2 of 2 pairs, MOTA +0.20 in the mean"
+    assert mota.ours == "2 of 2 pairs, MOTA +0.20 in the median"
     assert low.verdict == "not measured", "MT is nowhere below 0"
     # Detector, filter, rest: one and one millisecond and nothing.
     assert time.where == {"": False}
