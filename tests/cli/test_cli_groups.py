@@ -273,3 +273,54 @@ def test_ctrl_c_leaves_the_groups_up_to_there(
     assert said.object["complete"] is False
     assert max(int(row["frame"]) for row in table(tmp_path / "run" / rundir.GROUPS)) == 14
     assert sum(1 for _ in open_source(tmp_path / "run" / rundir.PLAN)) == 14
+
+
+# Known positions
+
+
+def known_positions(folder: Path) -> Path:
+    """Two who walk side by side, and one who comes towards them, five times a second."""
+    lines = ["frame,id,x,y"]
+    for k in range(1, 61, 2):
+        lines += [f"{k},{i},{x:.3f},{y:.3f}" for i, (x, y) in enumerate(walking(k), start=1)]
+    path = folder / "known.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("kind", ["pairs", "intensity"])
+def test_groups_are_found_among_known_positions(kind: str, tmp_path: Path) -> None:
+    file = known_positions(tmp_path)
+    out = tmp_path / "out"
+    words = ["--positions", file, "--fps", f"{RATE:g}", "--out", out, "--json"]
+    document = phdtrack("groups", *words, "--set", f"groups.kind={kind}").object
+    assert {path.name for path in out.iterdir()} == {
+        "groups.csv", "members.csv", "events.csv", "warnings.csv",
+    }  # fmt: skip
+    assert document["groups"]["people_mean"] == pytest.approx(3)
+    assert document["groups"]["frames"] == 30
+    with (out / "members.csv").open() as lines:
+        rows = [row for row in csv.DictReader(lines) if row["frame"] == "59"]
+    group = {row["member"]: row["group"] for row in rows}
+    assert group["1"] == group["2"] != group["3"]
+    with (out / "groups.csv").open() as lines:
+        last = [row for row in csv.DictReader(lines) if row["frame"] == "59"]
+    pair = next(row for row in last if row["group"] == group["1"])
+    # The velocities are slopes of the positions, and times those of the frame numbers.
+    assert float(pair["vx"]) == pytest.approx(1.2, abs=0.01)
+    assert float(pair["time"]) == pytest.approx(5.8)
+    assert float(pair["count"]) == 2
+
+
+def test_positions_need_a_rate_and_nothing_else(tmp_path: Path, street: Path) -> None:
+    file = known_positions(tmp_path)
+    said = refused("groups", "--positions", file, "--out", tmp_path / "a")
+    assert "the rate of the frame numbers is not known" in said
+    assert "--fps" in said
+    for words in (
+        ["--detections", street / "det.txt"],
+        ["--camera", street / "camera.toml"],
+        [street / "street.mp4"],
+    ):
+        said = refused("groups", "--positions", file, "--fps", "10", *words)
+        assert "is given, too" in said

@@ -16,8 +16,12 @@ from phdtrack.cli.track import command_line, run_and_print
 from phdtrack.config import Settings, build_groups, ground_model
 from phdtrack.errors import InputError
 from phdtrack.files import load
+from phdtrack.formats.known_positions import read_positions
+from phdtrack.report.pages import counted
+from phdtrack.run import directory as rundir
 from phdtrack.run.choices import chosen_settings, scene_settings
-from phdtrack.run.grouping import GroupObserver, World
+from phdtrack.run.grouping import TABLES, GroupObserver, World
+from phdtrack.run.position_groups import group_positions
 from phdtrack.run.preparation import prepare
 from phdtrack.run.requests import (
     CHECKPOINT_EVERY,
@@ -44,6 +48,10 @@ def groups(
         Path | None,
         option("FILE", "Lines to draw on the plan, as kerbs: a point x y in metres a line."),
     ] = None,
+    positions: Annotated[
+        Path | None,
+        option("FILE", "Known positions in metres: CSV frame,id,x,y, or obsmat.txt; with --fps."),
+    ] = None,
     video: given.Video = True,
     checkpoint_every: given.CheckpointEvery = CHECKPOINT_EVERY,
     max_file_size: given.MaxFileSize = "",
@@ -52,8 +60,11 @@ def groups(
 
     The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places,
     contours), members.csv, events.csv, warnings.csv and plan.mp4: the ground from above beside the
-    annotated video.
+    annotated video. With --positions nothing is tracked, and the directory holds the four tables.
     """
+    if positions is not None:
+        _among_positions(positions, source, options, to, camera, output)
+        return
     request = RunRequest(
         source, options, to, video=video, video_size=0, checkpoint_every=checkpoint_every
     )
@@ -77,6 +88,41 @@ def groups(
         observers=(*prepared.observers, observer),
     )
     run_and_print(output, prepared, request)
+
+
+def _among_positions(
+    file: Path,
+    source: SourceRequest,
+    tracking: TrackingRequest,
+    to: OutputRequest,
+    camera: Path | None,
+    output: Output,
+) -> None:
+    """Find groups among known positions. Raises `InputError` for a source or a camera beside them,
+    no frame rate, or positions that cannot be read.
+    """
+    for name, value in (
+        ("SOURCE", source.source),
+        ("--detections", source.detections),
+        ("--camera", camera),
+    ):
+        if value:
+            problem = f"--positions has everything that groups need, and {name} is given, too"
+            raise InputError(problem, where=str(value), cure="Leave one of them out.")
+    if not source.fps > 0:
+        cure = "Say --fps N: how many frame numbers make a second, 25 for 25 pictures a second."
+        raise InputError("the rate of the frame numbers is not known", where=file, cure=cure)
+    settings = config.load(tracking.config, tracking.sets or (), tracking.preset)
+    people = read_positions(file)
+    tables = {name: rundir.RUN_FILES[name] for name in TABLES}
+    name = f"{file.stem}-groups"
+    directory = rundir.claim(to.out, to.overwrite, tables, name=name, inputs=(file,))
+    found = group_positions(people, source.fps, build_groups(settings), directory)
+    walkers = counted(len(np.unique(people.identity)), "person", "people")
+    text = f"{counted(int(str(found['identities'])), 'group')} of {walkers}"
+    output.say(f"{text} in {counted(int(str(found['frames'])), 'frame')}.", "")
+    output.say(*directory.listing())
+    output.document({"positions": str(file), "out": str(directory.path), "groups": found})
 
 
 def _ground_settings(request: RunRequest, camera: Path | None) -> Settings:

@@ -26,7 +26,7 @@ _MORE = "More"
 # Panels in the order of the page, and options in that of their panel.
 _PANELS = {
     "Lines and zones": "line zone places dwell leave-after",
-    "Ground": "camera edges",
+    "Ground": "camera edges positions",
     "Input": (
         "detections tracks frames fps frame-size size image-size format first-frame units box"
         " sequence on-error truth labelled"

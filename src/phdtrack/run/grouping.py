@@ -52,7 +52,8 @@ _HEIGHT = 720
 _PLAN_MARGIN = 1.5
 _NOWHERE: F8 = np.zeros((2, 0))
 _EMPTY = "MULTIPOLYGON EMPTY"
-_HEADS = {
+# The files of groups, and their columns.
+TABLES = {
     rundir.GROUPS: "frame,time,group,count,deviation,x,y,vx,vy,contours,contours_image",
     rundir.MEMBERS: "frame,group,member",
     rundir.EVENTS: "frame,time,event,group,other",
@@ -156,13 +157,13 @@ class GroupObserver(RunObserver):
             ExitStack() as files,
             self._reporter.progress("grouping", len(self._frames)) as advance,
         ):
-            tables = {name: files.enter_context(Lines(directory.file(name))) for name in _HEADS}
-            for name, head in _HEADS.items():
+            tables = {name: files.enter_context(Lines(directory.file(name))) for name in TABLES}
+            for name, head in TABLES.items():
                 tables[name].write(head)
             for done, (seen, (frame, place, identity)) in enumerate(
                 zip(self._frames, found, strict=True), start=1
             ):
-                self._write(frame, tables)
+                write_frame(frame, tables, self._camera)
                 self._scenes.append(PlanScene(frame, seen.places, place, identity))
                 advance(done)
 
@@ -204,36 +205,6 @@ class GroupObserver(RunObserver):
                 state, seen.mixture, identity, carrier, seen.number, seen.time
             )
             yield frame, place, identity
-
-    def _write(self, frame: GroupFrame, tables: Mapping[str, Lines]) -> None:
-        """A frame into the tables."""
-        n = frame.number
-        at = f"{frame.time:.6f}"
-        found = frame.groups
-        camera = self._camera
-        write = {name: table.write for name, table in tables.items()}
-        for g, rings in enumerate(frame.contours):
-            values = ",".join(
-                f"{value:.7g}" for value in (found.count[g], found.deviation[g], *found.mean[:, g])
-            )
-            if camera is None:
-                image = _EMPTY
-            else:
-                image = _polygons(rings, [_in_image(camera, ring) for ring in rings])
-            write[rundir.GROUPS](
-                f'{n},{at},{frame.identity[g]},{values},"{_polygons(rings, rings)}","{image}"'
-            )
-        for i in np.lexsort((frame.member, frame.membership)):
-            write[rundir.MEMBERS](f"{n},{frame.membership[i]},{frame.member[i]}")
-        for e in frame.events:
-            write[rundir.EVENTS](f"{e.frame},{e.time:.6f},{e.kind},{e.group},{e.other}")
-        for w in frame.warnings:
-            numbers = (w.seconds, w.distance, w.deviation)
-            close = ",".join(f"{value:.4g}" for value in numbers)
-            place = f"{w.place[0]:.7g},{w.place[1]:.7g}"
-            write[rundir.WARNINGS](
-                f"{n},{at},{w.first},{w.second},{close},{place},{w.probability:.4g}"
-            )
 
     def drawing(self, directory: RunDirectory, files: ExitStack, *, pictures: bool) -> Draw:
         """A function that draws plan.mp4, with the annotated pictures on its left.
@@ -327,6 +298,41 @@ class GroupObserver(RunObserver):
         shown = [[_in_image(camera, ring) for ring in rings] for rings in frame.contours]
         contours = [[ring for ring in rings if ring.shape[1]] for rings in shown]
         return draw_contours(picture, contours)
+
+
+def write_frame(frame: GroupFrame, tables: Mapping[str, Lines], camera: Camera | None) -> None:
+    """Write the groups of a frame into the files of `TABLES`.
+
+    Parameters
+    ----------
+    frame : the groups.
+    tables : the open files, by name.
+    camera : for contours in the image; None for none.
+    """
+    n = frame.number
+    at = f"{frame.time:.6f}"
+    found = frame.groups
+    write = {name: table.write for name, table in tables.items()}
+    for g, rings in enumerate(frame.contours):
+        values = ",".join(
+            f"{value:.7g}" for value in (found.count[g], found.deviation[g], *found.mean[:, g])
+        )
+        if camera is None:
+            image = _EMPTY
+        else:
+            image = _polygons(rings, [_in_image(camera, ring) for ring in rings])
+        write[rundir.GROUPS](
+            f'{n},{at},{frame.identity[g]},{values},"{_polygons(rings, rings)}","{image}"'
+        )
+    for i in np.lexsort((frame.member, frame.membership)):
+        write[rundir.MEMBERS](f"{n},{frame.membership[i]},{frame.member[i]}")
+    for e in frame.events:
+        write[rundir.EVENTS](f"{e.frame},{e.time:.6f},{e.kind},{e.group},{e.other}")
+    for w in frame.warnings:
+        numbers = (w.seconds, w.distance, w.deviation)
+        close = ",".join(f"{value:.4g}" for value in numbers)
+        place = f"{w.place[0]:.7g},{w.place[1]:.7g}"
+        write[rundir.WARNINGS](f"{n},{at},{w.first},{w.second},{close},{place},{w.probability:.4g}")
 
 
 def extent_of(places: F8) -> tuple[float, float, float, float]:
