@@ -404,7 +404,7 @@ GIVEN |= {
     "mcmc": {"filter": {"kind": "mcmc", "samples": 400}},
 }
 GIVEN["d14"] = {
-    "filter": {"particles_per_target": 500, "max_particles": 500},
+    "filter": {"particles_per_target": 1000},
     "sensor": {"size": (40.0, 100.0)},
 }
 
@@ -415,13 +415,10 @@ WITHOUT_BOXES = {
 } - {"d14"}
 
 
-@pytest.mark.parametrize("preset", sorted({*PRESETS, *GIVEN} - WITHOUT_BOXES))
+@pytest.mark.parametrize("preset", sorted({*PRESETS, *GIVEN} - WITHOUT_BOXES - {"m07"}))
 def test_every_preset_finds_two_people(preset: str):
     """And the default's with other filters. D14's newborn are anywhere: it takes a while until one
-    is near enough.
-
-    M07 as printed splits the mass at whole numbers, so that the rows of a target whose mass is a
-    little less are left out.
+    is near enough. M07 as printed has a test of its own.
     """
     given = GIVEN.get(preset, {})
     tracker = Tracker(SIZE, preset=preset, **given) if preset in PRESETS else tracker_of(**given)
@@ -434,9 +431,19 @@ def test_every_preset_finds_two_people(preset: str):
         truth = np.array([boxes(f - 1)[mine.detection[-1]] for f in mine.frame])
         late = mine.frame > mine.frame[0] + (10 if slow else -1)
         assert np.abs(mine.xyxy - truth)[late].mean() < (2 if slow else 8)
-        few = preset == "m07"
-        assert len(mine) >= (8 if few else 18)
-        assert mine.frame[-1] >= tracker.step.number - 2 * few
+        assert len(mine) >= 18
+        assert mine.frame[-1] == tracker.step.number
+
+
+def test_m07_as_printed_loses_targets_that_are_always_detected():
+    """They weigh more than 1, are halved, and both halves are dropped; ours finds them."""
+    rows = {}
+    for preset in ("m07", "m07-extended"):
+        tracker = Tracker(SIZE, preset=preset, **FEW)
+        feed(tracker, [boxes(k) for k in range(25)])
+        rows[preset] = len(tracker.tracks())
+    assert rows["m07"] < 20
+    assert rows["m07-extended"] >= 36
 
 
 def test_settings_come_from_file_preset_and_sections(tmp_path):
