@@ -129,7 +129,8 @@ def parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="PART",
-        help="make this part of the page anew and keep the others (appearance); may be repeated",
+        help="make this part of the page anew and keep the others (appearance, m07); may be"
+        " repeated",
     )
     out.add_argument(
         "--check",
