@@ -2,7 +2,8 @@
 
 ``python scripts/picture.py`` writes docs/picture.jpg: detections with clutter, the filter's
 intensity, the tracks. ``python scripts/picture.py gallery`` writes docs/gallery/: the first command
-on each scene, and the effect of teaching a scene.
+on each scene, and the effect of teaching a scene. ``python scripts/picture.py animation`` writes
+docs/animation.webp: the demo without and with the filter.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from phdtrack import Detections, Tracker, Tracks
 from phdtrack.formats import find_seqinfo, read_detections, read_tracks, read_truth
@@ -37,6 +39,10 @@ SCENES = ("yard", "garden", "arcade", "crowd")
 SHOWN = 400
 MARKED = 40
 WHITE = (255, 255, 255)
+# Frames of the demo that are shown, the step between them, and the width of each half in pixels.
+MOVING = range(120, 280)
+STEP = 2
+HALF = 480
 
 
 def main() -> None:
@@ -88,6 +94,43 @@ def gallery() -> None:
                 [_seen(at, scene, "runs/" + scene), _tracked(at, scene, "runs/" + scene, "tracks")],
             )
         _learned(at, out)
+
+
+def animation() -> None:
+    """Run the demo, and show its two annotated videos side by side."""
+    with tempfile.TemporaryDirectory() as name:
+        at = Path(name)
+        _phdtrack(at, "demo", "--out", "demo")
+        halves = [
+            [
+                _named(_shrunk(frame.image), text)
+                for frame in islice(
+                    open_source(str(at / "demo" / file)), MOVING.start, MOVING.stop, STEP
+                )
+            ]
+            for file, text in (
+                ("without-filter/annotated.mp4", "boxes linked without a filter"),
+                ("annotated.mp4", "the same boxes with phdtrack"),
+            )
+        ]
+    pictures = [Image.fromarray(np.hstack(pair)[:, :, ::-1]) for pair in zip(*halves, strict=True)]
+    first, *rest = pictures
+    # Browsers and GitHub show it; a GIF of the same quality is three times as large.
+    first.save(
+        OUT.parent / "animation.webp",
+        save_all=True,
+        append_images=rest,
+        duration=round(1000 * STEP / 25),
+        loop=0,
+        quality=55,
+        method=6,
+    )
+
+
+def _shrunk(image: np.ndarray) -> np.ndarray:
+    """The image in the width of a half."""
+    height = round(image.shape[0] * HALF / image.shape[1])
+    return cv2.resize(image, (HALF, height), interpolation=cv2.INTER_AREA)
 
 
 def _learned(at: Path, out: Path) -> None:
@@ -174,4 +217,4 @@ def _named(image: np.ndarray, text: str) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    gallery() if sys.argv[1:] == ["gallery"] else main()
+    {"gallery": gallery, "animation": animation}.get("".join(sys.argv[1:]), main)()

@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F8, Frame, Image
 
 
@@ -76,8 +77,6 @@ class Planar:
         """(H, W, 3) BGR uint8 of this width and height, or of its own size, which is converted
         only once.
         """
-        import cv2
-
         if self._image is None:
             width, height = self.size
             grey = np.pad(
@@ -106,8 +105,6 @@ class Planar:
 
 def bgr_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Image:
     """`Picture.bgr` of a picture, or of an image (H, W, 3) BGR uint8."""
-    import cv2
-
     if not isinstance(picture, np.ndarray):
         return picture.bgr(size)
     if size is None or size == picture.shape[1::-1]:
@@ -117,8 +114,6 @@ def bgr_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Ima
 
 def planes_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Image:
     """`Picture.planes` of a picture, or of an image (H, W, 3) BGR uint8."""
-    import cv2
-
     if not isinstance(picture, np.ndarray):
         return picture.planes(size)
     image = bgr_of(picture, size)

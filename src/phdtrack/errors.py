@@ -41,6 +41,7 @@ _TESTS = {Ge: ("at least", "ge"), Gt: ("above", "gt"), Le: ("at most", "le"), Lt
 
 EXTRAS = {
     "av": "phdtrack[video]",
+    "cv2": "phdtrack[opencv]",
     "matplotlib": "phdtrack[report]",
     "starlette": "phdtrack[web]",
     "uvicorn": "phdtrack[web]",

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
+from phdtrack import opencv_package
 from phdtrack.cli.app import COMMANDS
 from phdtrack.errors import EXTRAS
 
@@ -100,12 +101,12 @@ print(given)
 REPORTS = "phdtrack[report]"
 VIDEOS = "phdtrack[video]"
 PAGES = "phdtrack[web]"
+OPENCV = "phdtrack[opencv]"
 
 
 def test_a_tracker_needs_none_of_the_extras() -> None:
     program = (
-        WITHOUT.format(absent={*EXTRAS, "jinja2", "markupsafe", "typer", "click", "rich", "cv2"})
-        + LOOP
+        WITHOUT.format(absent={*EXTRAS, "jinja2", "markupsafe", "typer", "click", "rich"}) + LOOP
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=300
@@ -118,6 +119,7 @@ def forget(monkeypatch: pytest.MonkeyPatch, absent: Iterable[str]) -> None:
     """Nothing can import these packages, nor what imports them when it is loaded."""
     for name in {*absent, *(name for name in sys.modules if name.partition(".")[0] in absent)}:
         monkeypatch.setitem(sys.modules, name, None)
+    vars(opencv_package.cv2).clear()
     pages = ("phdtrack.live.live_page", "phdtrack.label.label_page")
     for name in (*pages, *(name for name in sys.modules if name.startswith("phdtrack.web"))):
         monkeypatch.delitem(sys.modules, name, raising=False)
@@ -139,7 +141,7 @@ def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ["--help"],
         ["settings"],
-        ["detect", "img1", "--out", "found", "--detector", "mog2"],
+        ["learn", "--detections", "det/det.txt", "--clutter", "unattended", "--out", "scene.json"],
         ["evaluate", "--truth", "gt/gt.txt", "--tracks", "gt/gt.txt"],
         ["export", "gt/gt.txt", "--to", "csv", "--out", "tracks.csv"],
         ["warm-up"],
@@ -163,6 +165,12 @@ def test_what_the_core_can_do_alone(
         (["live", "video.mp4", "--no-page"], "av", VIDEOS),
         (["simulate", "street", "--frames", "3"], "av", VIDEOS),
         (["track", "--detections", "det/det.txt"], "matplotlib", REPORTS),
+        (["track", "--detections", "det/det.txt"], "cv2", OPENCV),
+        (["track", "img1"], "cv2", OPENCV),
+        (["detect", "img1", "--out", "found", "--detector", "mog2"], "cv2", OPENCV),
+        (["live", "video.mp4", "--no-page"], "cv2", OPENCV),
+        (["simulate", "street", "--frames", "3"], "cv2", OPENCV),
+        (["demo"], "cv2", OPENCV),
         (["compare", "."], "matplotlib", REPORTS),
         (["demo"], "matplotlib", REPORTS),
         (["live", "video.mp4"], "uvicorn", PAGES),
@@ -192,7 +200,7 @@ def test_a_missing_extra_is_named_at_once(
 
 def test_every_optional_package_is_in_an_extra() -> None:
     extras = PROJECT["optional-dependencies"]
-    named = {"paho": "paho-mqtt"}
+    named = {"paho": "paho-mqtt", "cv2": "opencv-python-headless"}
     for module, package in EXTRAS.items():
         extra = re.fullmatch(r"phdtrack\[(\w+)\]", package)[1]
         assert any(one.startswith(named.get(module, module)) for one in extras[extra]), module
@@ -203,6 +211,7 @@ def test_every_optional_package_is_in_an_extra() -> None:
     assert set(re.findall(r"\w+", everything)) - {"phdtrack"} == set(extras) - {
         "all",
         "dev",
+        "opencv",
         "ray",
     }
 
@@ -219,6 +228,8 @@ def test_the_dockerfile_names_what_there_is() -> None:
         "COPY",
         "RUN",
         "ENV",
+        "USER",
+        "EXPOSE",
         "ENTRYPOINT",
         "CMD",
     }
@@ -233,7 +244,9 @@ def test_the_dockerfile_names_what_there_is() -> None:
     assert {"pyproject.toml", PROJECT["readme"], *PROJECT["license-files"], "src"} <= copied
     said = " ".join(rest for name, rest in steps if name == "RUN")
     assert (
-        set(re.findall(r"\.\[([\w,]+)\]", said)) == {"all"} <= set(PROJECT["optional-dependencies"])
+        set(re.search(r"\.\[([\w,]+)\]", said)[1].split(","))
+        == {"all", "opencv"}
+        <= set(PROJECT["optional-dependencies"])
     )
     # Kernels are kept in a folder that every user can write into.
     assert re.findall(r"\bphdtrack ([a-z-]+)", said) == ["warm-up"]
@@ -307,19 +320,65 @@ def test_a_wheel_alone_in_an_empty_environment_tracks(alone: Alone) -> None:
     assert f"pip install '{REPORTS}'" in alone.run("-m", "phdtrack", "demo", "--out", "demo").stderr
 
 
-def test_the_first_blocks_of_the_readme_can_be_pasted_one_by_one(alone: Alone) -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    first, loop, more = re.findall(r"^```(?:python)?\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)[
-        :3
-    ]
-    pip, _, first = first.partition("\n")
-    assert shlex.split(pip, comments=True) == ["pip", "install", ".[all]"]
+@pytest.mark.parametrize(
+    "package",
+    [
+        "opencv-python-headless",
+        "opencv-python",
+        "opencv-contrib-python-headless",
+        "opencv-contrib-python",
+    ],
+)
+def test_any_package_of_opencv_is_used_as_it_is(package: str, alone: Alone, tmp_path: Path) -> None:
+    """No extra but ``opencv`` asks for one, so that pip leaves the one that is there."""
+    asking = {name for name, what in PROJECT["optional-dependencies"].items() if "cv" in str(what)}
+    assert asking == {"opencv", "dev"}
+    assert "cv" not in " ".join(PROJECT["dependencies"])
     (wheel,) = alone.folder.glob("*.whl")
     alone.install(f"{wheel}[all]")
-    for words in (shlex.split(line, comments=True) for line in (first + more).splitlines()):
+    alone.install("--target", str(tmp_path), "--no-deps", package)
+    program = f"""
+import sys
+sys.path.insert(0, {str(tmp_path)!r})
+import cv2
+from phdtrack.cli.app import main
+assert cv2.__file__.startswith(sys.path[0])
+sys.argv = ["phdtrack", *sys.argv[1:]]
+main()
+"""
+    for words in (
+        ["simulate", "street", "--frames", "20", "--out", f"street-{package}"],
+        ["track", f"street-{package}/scene.mp4", "--out", f"run-{package}"],
+    ):
+        done = alone.run("-c", program, *words)
+        if "cannot open shared object file" in done.stderr:
+            assert "--force-reinstall opencv-python-headless" in done.stderr
+            return
+        assert done.returncode == 0, done.stderr
+    assert (alone.folder / f"run-{package}" / "annotated.mp4").stat().st_size > 1000
+
+
+def test_the_first_blocks_of_the_readme_can_be_pasted_one_by_one(alone: Alone) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    first, loop, story = re.findall(r"^```(?:python)?\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    pip, _, first = first.partition("\n")
+    assert shlex.split(pip, comments=True) == ["pip", "install", ".[all,opencv]"]
+    (wheel,) = alone.folder.glob("*.whl")
+    alone.install(f"{wheel}[all,opencv]")
+    found = []
+    for words in (shlex.split(line, comments=True) for line in (first + story).splitlines()):
         assert words[0] == "phdtrack", words
         done = alone.run("-m", *words)
         assert done.returncode == 0, (words, done.stderr)
+        if words[1] == "track":
+            objects = re.search(r"^(\d+) objects? in ", done.stdout, re.MULTILINE)[1]
+            mota, idf1 = (
+                re.search(rf"^{name} +0?(\.\d+) ", done.stdout, re.MULTILINE)[1]
+                for name in ("MOTA", "IDF1")
+            )
+            found.append((objects, mota, idf1))
+    # What the story of the README says.
+    assert found == re.findall(r"\| (\d+) \| (\.\d{3}) \| (\.\d{3}) \|$", text, re.MULTILINE)
     done = alone.run("-c", loop)
     assert done.returncode == 0, done.stderr
     assert re.search(r"^29 1 \[", done.stdout, re.MULTILINE), done.stdout

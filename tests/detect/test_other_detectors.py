@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from phdtrack import opencv_package
 from phdtrack.arrays import iou
 from phdtrack.detect import DETECTORS, detector_parameters, make_detector
 from phdtrack.detect.detectors import working_width
@@ -70,8 +71,9 @@ def test_face_is_detected_in_original_pixels() -> None:
 
 
 def test_opencv_without_cascades_shows_the_repair(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(cv2, "CascadeClassifier")
-    monkeypatch.delattr(cv2, "HOGDescriptor")
+    monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
+    monkeypatch.delattr(cv2, "HOGDescriptor", raising=False)
+    vars(opencv_package.cv2).clear()
     for name in ("face", "person"):
         with pytest.raises(InputError, match=r"pip install .*opencv-python-headless>=4\.8,<5"):
             make_detector(name)

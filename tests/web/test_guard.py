@@ -9,7 +9,7 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from phdtrack.web.guard import COOKIE, POLICY, guarded
+from phdtrack.web.guard import COOKIE, HEALTH, POLICY, guarded
 
 HOST = "127.0.0.1:8000"
 
@@ -55,6 +55,27 @@ def test_a_change_needs_a_header_that_forms_cannot_send() -> None:
     origin = {"origin": f"http://{HOST}"}
     assert client().post("/", headers=origin).status_code == 403
     assert client().post("/", headers=origin | {"x-phdtrack": "1"}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("path", "asking", "status"),
+    [
+        (HEALTH, "127.0.0.1", 200),
+        (HEALTH, "::1", 200),
+        (HEALTH, "192.168.1.7", 401),
+        (HEALTH, "testclient", 401),
+        ("/", "127.0.0.1", 401),
+        (f"{HEALTH}/../", "127.0.0.1", 401),
+    ],
+)
+def test_only_health_checks_of_this_machine_need_no_token(
+    path: str, asking: str, status: int
+) -> None:
+    app = Starlette(routes=[Route("/", hello), Route(HEALTH, hello)])
+    page = TestClient(
+        guarded(app, ("127.0.0.1",), "secret"), base_url=f"http://{HOST}", client=(asking, 5000)
+    )
+    assert page.get(path).status_code == status
 
 
 def test_with_a_token_nobody_enters_without() -> None:

@@ -17,7 +17,7 @@ from phdtrack.cli.evaluate import score_table
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.track import command_line
-from phdtrack.errors import InputError, did_you_mean
+from phdtrack.errors import InputError, did_you_mean, needed
 from phdtrack.files import write_text
 from phdtrack.formats import write_detections, write_truth
 from phdtrack.run import directory as rundir
@@ -105,6 +105,10 @@ def simulate(
     picture = replace(picture, **_assigned(look or [], picture, "--look"))
     changes = _assigned(sets or [], world, "--set") | ({"frames": frames} if frames else {})
     scene = make_scene(name, seed, replace(model, **said), **changes)
+    if video:
+        # Before any file is written.
+        needed("av")
+        needed("cv2")
     target = rundir.claim(out, overwrite, FILES, name=name)
     info = scene.info
     write_truth(target.file(TRUTH), scene.truth)

@@ -39,7 +39,6 @@ from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 from annotated_types import Gt, Lt
 from numpy.typing import NDArray
@@ -59,6 +58,7 @@ from phdtrack.errors import InputError, Positive, PositiveCount, check
 from phdtrack.kernels.blobs import edges
 from phdtrack.kernels.change import CHANNELS, MARGIN, Past, Statistic, changed, compare, follow
 from phdtrack.kernels.planes import BLACK, COLOURS, GREYS, LOG_SCALE, colours, luma, smooth
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F4, F8, STILL, Bool, Detections, Frame, Image
 
 OpenShare = Annotated[float, Gt(0), Lt(1)]

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
 
-import cv2
 import numpy as np
 from annotated_types import Ge, Lt
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from phdtrack.devices import size_of
 from phdtrack.errors import Checked, InputError
 from phdtrack.kernels.blobs import Cleaning, cleaned, measured, valley
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F8, I8, Bool, Detections, Frame, Image
 
 # Left, top, right, bottom in whole pixels; right and bottom are one beyond the last.

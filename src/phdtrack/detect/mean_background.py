@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
 import numpy as np
 
 from phdtrack.detect.components import ConnectedComponents, check_same_size
 from phdtrack.errors import NonNegative, Positive, PositiveCount, check
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F4, Detections, Frame
 
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from phdtrack.detect.onnx_layouts import LAYOUTS, Array, Layout, of_picture, unbatched
@@ -38,6 +37,7 @@ from phdtrack.errors import (
     needed,
 )
 from phdtrack.files import load
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F8, Detections, Frame, Image
 
 _LOG = logging.getLogger(__name__)

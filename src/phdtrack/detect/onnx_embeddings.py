@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from phdtrack.detect.embedding_settings import EmbeddingSettings
@@ -27,6 +26,7 @@ from phdtrack.detect.onnx import (
 )
 from phdtrack.detect.onnx_layouts import Array
 from phdtrack.errors import InputError
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F4, F8, Image
 
 # Width and height of a crop if the network takes any, as usual for people.

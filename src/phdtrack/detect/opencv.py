@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from phdtrack.detect.components import ConnectedComponents, check_same_size
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, check
+from phdtrack.opencv_package import cv2
 from phdtrack.types import Detections, Frame, Image
 
 _REPAIR = (

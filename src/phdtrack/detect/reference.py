@@ -21,13 +21,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.change import middle
 from phdtrack.kernels.planes import BLACK, FROM_BGR, TO_BGR, colours, luma
 from phdtrack.kernels.recurring import recurrences, same_patches
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F4, F8, I8, STILL, Bool, Image
 
 # The median is certain if this share of the samples lies within so many grey levels of it.

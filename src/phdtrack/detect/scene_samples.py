@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import cv2
 import numpy as np
 
 from phdtrack.detect.reference import middle_of
 from phdtrack.kernels.change import CHANNELS, OFTEN, REACH, Past, often_near
 from phdtrack.kernels.planes import LOG, colours, luma
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F4, Bool, Image
 
 # The median of a third of χ²₃.

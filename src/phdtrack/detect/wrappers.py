@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from phdtrack.detect.base import Detector, ReadsPlanes, WrapsDetector
 from phdtrack.devices import Planar, bgr_of, planes_of, size_of
 from phdtrack.errors import InputError
 from phdtrack.files import load
+from phdtrack.opencv_package import cv2
 from phdtrack.types import Bool, Detections, Frame, Image
 
 # Share of a box's area that must lie inside the region of interest.

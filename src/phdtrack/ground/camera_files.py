@@ -31,7 +31,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args, get_type_hints
 
-import cv2
 import numpy as np
 
 from phdtrack.devices import Camera
@@ -42,6 +41,7 @@ from phdtrack.ground.homography import HomographyCamera
 from phdtrack.ground.lenses import OpenCVLens, TsaiLens
 from phdtrack.ground.matlab import is_matlab, read_matrices
 from phdtrack.ground.terrain import Line, read_terrain
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F8
 
 Description = Mapping[str, Any]

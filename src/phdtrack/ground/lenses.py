@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, Positive
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F8
 
 # Newton's method in OpenCV's lens: the number of steps, the error in pixels that counts as solved,

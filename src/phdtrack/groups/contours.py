@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.errors import Checked, NonNegative, Positive
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F8, Bool, GaussianMixture
 
 # Largest number of grid points along each side: the grid of a large group with narrow components is
@@ -50,7 +51,6 @@ class Contours(Checked):
         peak = weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))
         if peak.sum() <= self.level:
             return ()
-        import cv2
         from contourpy import contour_generator
 
         x, y = self._grid(peak, mean, cov)

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 from starlette.applications import Starlette
@@ -24,6 +23,7 @@ from phdtrack.label.exchange import Exchange
 from phdtrack.label.samples import boxes_of, clip
 from phdtrack.label.store import DRAWN, Label, LabelStore, Progress
 from phdtrack.label.suggestions import ALIKE, TICKED, Background
+from phdtrack.opencv_package import cv2
 from phdtrack.scene.mixture import place_map
 from phdtrack.scene.training import FALSE_BOXES, MIN_BIRTHS, box_density, learn_boxes
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
@@ -333,4 +333,4 @@ def _encoded(image: Image, suffix: str = ".jpg") -> bytes:
         quality = [cv2.IMWRITE_JPEG_QUALITY, 90]
     else:
         quality = []
-    return cv2.imencode(suffix, image, quality)[1].tobytes()
+    return bytes(cv2.imencode(suffix, image, quality)[1])

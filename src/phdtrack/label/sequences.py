@@ -11,8 +11,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import cv2
-
 from phdtrack import __version__
 from phdtrack.arrays import pixelated
 from phdtrack.clock import Clock
@@ -26,6 +24,7 @@ from phdtrack.formats.checks import MalformedRows
 from phdtrack.label.samples import LONGEST
 from phdtrack.label.suggestions import Evidence, Suggestion, suggest
 from phdtrack.multiclass import ClassSettings
+from phdtrack.opencv_package import cv2
 from phdtrack.run.detection_log import source_of
 from phdtrack.run.inputs import (
     Inputs,

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 
 from phdtrack.arrays import pixelated
@@ -21,6 +20,7 @@ from phdtrack.files import whole
 from phdtrack.formats.write import Lines
 from phdtrack.live.events import Event, Tally, Watch, place_events, tallies
 from phdtrack.live.zones import Place
+from phdtrack.opencv_package import cv2
 from phdtrack.report import Annotator
 from phdtrack.report.drawing import draw_plates
 from phdtrack.report.pages import render

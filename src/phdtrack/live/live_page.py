@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -23,7 +22,9 @@ from phdtrack.addresses import shown
 from phdtrack.errors import InputError
 from phdtrack.live.engine import UNHEALTHY, Camera
 from phdtrack.live.zones import places_of, write_places
+from phdtrack.opencv_package import cv2
 from phdtrack.web.endpoints import Endpoint, endpoint, static
+from phdtrack.web.guard import HEALTH
 
 STATIC = Path(__file__).parent / "static"
 # Limits of saved places: bytes, places, corners of all together. Events that are shown.
@@ -137,7 +138,7 @@ class Page:
             ]
             colour = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_INFERNO)
             ground = (ground * (1 - share) + colour * share).astype(np.uint8)
-        return cv2.imencode(".jpg", ground, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+        return bytes(cv2.imencode(".jpg", ground, [cv2.IMWRITE_JPEG_QUALITY, 85])[1])
 
     def save(self, name: str, sent: bytes) -> dict[str, object]:
         """Write lines and zones into the camera's file, which it reads with the next picture.
@@ -257,7 +258,7 @@ def live_app(cameras: Sequence[Camera], patience: float = UNHEALTHY) -> Starlett
         routes=[
             Route("/", endpoint((STATIC / "live.html").read_bytes, "text/html")),
             Route("/metrics", endpoint(page.metrics, "text/plain; version=0.0.4")),
-            Route("/healthz", health),
+            Route(HEALTH, health),
             Route("/api/cameras", endpoint(page.overview)),
             Route("/api/camera/{name:str}", known(endpoint(page.camera))),
             Route("/api/camera/{name:str}/minutes", known(endpoint(page.minutes))),

@@ -16,11 +16,11 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import cv2
 import numpy as np
 from markupsafe import Markup
 
 from phdtrack.errors import needed
+from phdtrack.opencv_package import cv2
 from phdtrack.report.appearance_worth import AppearanceWorth
 from phdtrack.report.drawing import feet, identity_colour
 from phdtrack.report.record import RunRecord, shrunk

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.planes import blend
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F8, Bool, Image
 
 Rgb = tuple[int, int, int]
@@ -33,7 +33,7 @@ FRACTION_BITS = 4
 # Lines of a picture for which the sizes of strokes and letters are defined.
 _USUAL_LINES = 480
 _MIN_FONT = 0.34
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
 # Relative luminance of a plate above which its text is black.
 _LIGHT = 0.2
 
@@ -200,7 +200,9 @@ class Canvas:
         colour : of the letters.
         """
         scale = 0.8 * self._font
-        cv2.putText(self.image, text, corner, _FONT, scale, colour[::-1], 1, cv2.LINE_AA)
+        cv2.putText(
+            self.image, text, corner, cv2.FONT_HERSHEY_SIMPLEX, scale, colour[::-1], 1, cv2.LINE_AA
+        )
 
     def path(self, points: F8, colour: Rgb, width: int) -> None:
         """Draw a line.
@@ -230,7 +232,9 @@ class Canvas:
         corner : left and bottom, pixels.
         fill : colour of the plate.
         """
-        (width, height), descent = cv2.getTextSize(text, _FONT, self._font, self._bold)
+        (width, height), descent = cv2.getTextSize(
+            text, cv2.FONT_HERSHEY_SIMPLEX, self._font, self._bold
+        )
         padding = max(2, height // 4)
         width = width + 2 * padding
         height = height + 2 * padding + descent // 2
@@ -269,11 +273,11 @@ def _plate(
     """
     # OpenCV's fonts only have the letters of ASCII.
     text = text.encode("ascii", "replace").decode("ascii")
-    (width, height), descent = cv2.getTextSize(text, _FONT, font, bold)
+    (width, height), descent = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, bold)
     padding = max(2, height // 4)
     if width + 2 * padding > available:
         font *= max(0.1, (available - 2 * padding) / width)
-        (width, height), descent = cv2.getTextSize(text, _FONT, font, bold)
+        (width, height), descent = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, bold)
     below = padding + (0 if text.isdigit() else descent // 2)
     plate = np.full((height + padding + below, width + 2 * padding, 3), fill[::-1], np.uint8)
     alpha = np.full(plate.shape[:2], opacity, np.uint8)
@@ -281,9 +285,9 @@ def _plate(
     # Black or white, whichever has the better contrast.
     luminance = np.array([0.2126, 0.7152, 0.0722]) @ (np.array(fill) / 255) ** 2.2
     colour = BLACK if luminance > _LIGHT else WHITE
-    cv2.putText(plate, text, corner, _FONT, font, colour, bold, cv2.LINE_AA)
+    cv2.putText(plate, text, corner, cv2.FONT_HERSHEY_SIMPLEX, font, colour, bold, cv2.LINE_AA)
     if opacity < 255:
-        cv2.putText(alpha, text, corner, _FONT, font, (255,), bold, cv2.LINE_AA)
+        cv2.putText(alpha, text, corner, cv2.FONT_HERSHEY_SIMPLEX, font, (255,), bold, cv2.LINE_AA)
     return plate, alpha
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
+from phdtrack.opencv_package import cv2
 from phdtrack.report.drawing import (
     FRACTION_BITS,
     GREY,

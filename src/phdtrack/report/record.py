@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from phdtrack.arrays import pixelated
+from phdtrack.opencv_package import cv2
 from phdtrack.report.appearance_worth import AppearanceRecorder, AppearanceWorth
 from phdtrack.report.doubtful_tracks import DoubtfulTracks
 from phdtrack.types import F8, I8, Frame, Image, SequenceInfo, Step, Tracks, Truth

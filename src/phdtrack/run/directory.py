@@ -357,10 +357,12 @@ def claim(
             problem = f"{written[file]} is read for this run, and would be replaced by it"
             raise InputError(problem, where=f"--out {path}", cure="Choose another --out.")
     check(path, overwrite or resume, files)
-    if REPORT in files and find_spec("matplotlib") is None:
-        needed(
-            "matplotlib"
-        )  # at the end, perhaps after hours; to import it now takes memory while videos are made
+    if REPORT in files:
+        # Not at the end, perhaps after hours; to import them now takes memory while videos are
+        # made.
+        for package in ("matplotlib", "cv2"):
+            if find_spec(package) is None:
+                needed(package)
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):

@@ -14,11 +14,18 @@ from pathlib import Path
 import phdtrack
 from phdtrack import __version__
 
+# They overwrite each other's files; all that are installed are named.
+_OPENCV = (
+    "opencv-contrib-python",
+    "opencv-contrib-python-headless",
+    "opencv-python",
+    "opencv-python-headless",
+)
 _PACKAGES = (
     "numpy",
     "scipy",
     "numba",
-    "opencv-python-headless",
+    *_OPENCV,
     "av",
     "typer",
     "rich",
@@ -32,9 +39,7 @@ _DETECTING = (
     "numba",
     "numpy",
     "onnxruntime",
-    "opencv-contrib-python",
-    "opencv-python",
-    "opencv-python-headless",
+    *_OPENCV,
     "scipy",
 )
 # Packages of phdtrack on which no result depends.

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from phdtrack.devices import Camera
@@ -23,6 +22,7 @@ from phdtrack.groups.group_stages import GroupFrame, GroupStages, carriers, mixt
 from phdtrack.groups.life_cycle import LifeCycleState
 from phdtrack.groups.pairs import Pairs
 from phdtrack.models import PlaneSensor
+from phdtrack.opencv_package import cv2
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import draw_contours
 from phdtrack.report.ground_plan import Plan, PlanScene

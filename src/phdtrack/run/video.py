@@ -112,7 +112,9 @@ def run(
     return_memory()
     whole = Run(inputs, classes, directory, observers, options or RunOptions(), reporter, resume)
     if whole.options.video and (inputs.pictures or observers):
-        needed("av")  # at the end, perhaps after hours
+        # Not at the end, perhaps after hours.
+        needed("av")
+        needed("cv2")
     with reporter.progress("tracking") as advance:
         return _run(whole, advance)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from phdtrack.opencv_package import cv2
 from phdtrack.simulate.sprites import Colour, Spot, grain, surface
 from phdtrack.types import F8, Image, SequenceInfo
 

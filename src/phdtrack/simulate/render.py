@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import accumulate
 
-import cv2
 import numpy as np
 
+from phdtrack.opencv_package import cv2
 from phdtrack.simulate.backdrop import backdrop
 from phdtrack.simulate.detector import place_boxes
 from phdtrack.simulate.scenes import Look, Scene

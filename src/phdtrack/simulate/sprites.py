@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F8, Image, SequenceInfo
 
 F4 = NDArray[np.float32]

@@ -17,6 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, PositiveCount
+from phdtrack.opencv_package import cv2
 from phdtrack.types import F8, Image
 
 # Least strength of a corner, as a share of the best; distance of corners as a share of the width.
@@ -136,8 +137,6 @@ class _View(NamedTuple):
 
 def _view(image: Image, xyxy: F8, width: int) -> _View:
     """The picture (H, W, 3) BGR, or (H, W) grey, scaled down to ``width``."""
-    import cv2
-
     if image.ndim not in (2, 3) or not image.size:
         raise InputError(
             f"expected a picture (H, W, 3), got an array of shape {image.shape}",
@@ -155,8 +154,6 @@ def _view(image: Image, xyxy: F8, width: int) -> _View:
 
 def _between(before: _View, after: _View, settings: SparseFlow) -> F8 | None:
     """(3, 3) map between two views, in pixels of the video; None if it cannot be measured."""
-    import cv2
-
     start, end = _tracked(before, after)
     if len(start) < MIN_POINTS:
         return None
@@ -193,8 +190,6 @@ def _between(before: _View, after: _View, settings: SparseFlow) -> F8 | None:
 
 def _tracked(before: _View, after: _View) -> tuple[F8, F8]:
     """(n, 2) points of the earlier view, and their places in the later one."""
-    import cv2
-
     none = np.zeros((0, 2))
     if before.gray.shape != after.gray.shape:
         return none, none

@@ -14,6 +14,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import readable_name
+from phdtrack.opencv_package import cv2
 from phdtrack.types import Frame, Image, SequenceInfo
 from phdtrack.video.file_names import numbering
 from phdtrack.video.video_source import Read, VideoSource
@@ -104,8 +105,6 @@ def head_of(path: Path) -> bytes:
 
 def _image(path: Path) -> Image:
     """(H, W, 3) BGR uint8. Raises `InputError` with the file's name if it is not an image."""
-    import cv2
-
     try:
         data = np.fromfile(path, np.uint8)
     except OSError as error:

@@ -28,6 +28,7 @@ import numpy as np
 from phdtrack.addresses import filled, shown
 from phdtrack.errors import InputError, needed
 from phdtrack.files import ffmpeg_name
+from phdtrack.opencv_package import cv2
 from phdtrack.types import Image
 from phdtrack.video.decoding import Decoded, video_stream
 
@@ -129,8 +130,9 @@ class LiveSource:
     _since: float = field(default=0.0, init=False, repr=False)
 
     def start(self) -> None:
-        """Start to read. Raises `InputError` if the package av is missing."""
+        """Start to read. Raises `InputError` if the packages for that are missing."""
         needed("av")
+        needed("cv2")
         self.started = self._since = self.clock()
         self._begin()
 
@@ -162,8 +164,6 @@ class LiveSource:
         if not isinstance(picture, np.ndarray):
             image = Decoded(picture).bgr((width, height))
         else:
-            import cv2
-
             image = np.asarray(cv2.resize(picture, (width, height)), np.uint8)
         return LiveFrame(number, at - self.started, wall, np.ascontiguousarray(image))
 
@@ -322,8 +322,6 @@ class LiveSource:
 
     def _camera(self, index: int) -> Iterator[Image]:
         """The pictures of a camera of this machine."""
-        import cv2
-
         capture = cv2.VideoCapture(index)
         try:
             if not capture.isOpened():

@@ -4,7 +4,8 @@
   (DNS rebinding) is refused.
 * ``Origin``, if it is sent, must be the server's own, and a request that changes something must
   carry a header that no form on another site can send.
-* With a token, every request must bring it: as ``?token=…`` the first time, then as a cookie.
+* With a token, every request must bring it: as ``?token=…`` the first time, then as a cookie. Only
+  a health check of the same machine needs none.
 * Every answer has a content security policy that lets the page load from this server only.
 
 Slow and malformed requests are left to uvicorn, and to the reverse proxy of an exposed server.
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import ipaddress
 from collections.abc import Sequence
 from urllib.parse import urlsplit
 
@@ -38,6 +40,8 @@ OWN_HEADER = "x-phdtrack"
 """The header of requests that change something; a form cannot send it."""
 COOKIE = "phdtrack_"
 """The beginning of the cookie's name."""
+HEALTH = "/healthz"
+"""The path of the health check, which a container runs inside."""
 
 
 def guarded(app: ASGIApp, hosts: Sequence[str], token: str = "") -> ASGIApp:
@@ -84,6 +88,8 @@ class _Guard:
             return _refused(403, "requests of other sites are refused")
         if request.method == "POST" and request.headers.get(OWN_HEADER) != "1":
             return _refused(403, f"the header {OWN_HEADER}: 1 is missing")
+        if request.url.path == HEALTH and request.client and _loopback(request.client.host):
+            return None
         token = request.query_params.get("token") or request.cookies.get(self._cookie, "")
         if self._token and not hmac.compare_digest(token.encode(), self._token.encode()):
             return _refused(401, "open the address with ?token=… that the terminal shows")
@@ -93,6 +99,14 @@ class _Guard:
         """The cookie that carries the token from now on."""
         secure = "; Secure" if request.url.scheme == "https" else ""
         return f"{self._cookie}={self._token}; HttpOnly; Path=/; SameSite=strict{secure}"
+
+
+def _loopback(address: str) -> bool:
+    """True for an address of this machine; False also if it is no address."""
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return False
 
 
 def _refused(status: int, reason: str) -> Response:
