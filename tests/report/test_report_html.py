@@ -86,7 +86,7 @@ def test_report_is_one_offline_file_with_every_part() -> None:
     page = Page(source)
     offline(source)
     assert "script" not in page.tags
-    assert len(page.images) == 3  # count, paths, lifetimes
+    assert len(page.images) == 5  # count, arrivals, where objects are, paths, lifetimes
     assert all(page.images)
     words = page.words.replace("\u00a0", " ")
     for expected in (
@@ -95,6 +95,8 @@ def test_report_is_one_offline_file_with_every_part() -> None:
         "The detector finds 67 % of the tracked objects in a frame; the other track boxes are",
         "Speed: 100.0 frames/s.",
         "1 min 40 s",
+        "first seen",
+        "heights a second",
         "0.812",
         "undefined",
         "The video ended early.",

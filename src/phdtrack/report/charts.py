@@ -23,6 +23,7 @@ from phdtrack.errors import needed
 from phdtrack.opencv_package import cv2
 from phdtrack.report.appearance_worth import AppearanceWorth
 from phdtrack.report.drawing import feet, identity_colour
+from phdtrack.report.object_list import Minute, visited
 from phdtrack.report.record import RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
@@ -213,6 +214,65 @@ def trajectory_picture(record: RunRecord) -> Picture:
                 clip_on=True,
             )
     return _over_scene(axes, record.background, darkness=0.4)
+
+
+def arrivals_chart(rows: Sequence[Minute], width: float) -> Picture:
+    """Objects that were there, and those that came, in each stretch of ``width`` seconds."""
+    unit, seconds = _unit(width)
+    axes = _axes(2.4, f"time in {unit}", "objects")
+    start = np.array([row.start for row in rows]) / seconds
+    size = width / seconds
+    style: dict[str, Any] = {"align": "edge"}
+    axes.bar(start, [row.objects for row in rows], 0.9 * size, color=_BLUE, alpha=0.35, **style)
+    axes.bar(start, [row.arrived for row in rows], 0.9 * size, color=_ORANGE, **style)
+    for bars, label in zip(axes.containers, ("there", "arrived"), strict=True):
+        bars.set_label(label)
+    axes.locator_params(axis="y", integer=True)
+    return _chart(axes, bottom=0)
+
+
+def _unit(width: float) -> tuple[str, float]:
+    """The unit of a time axis with bars of so many seconds, and its seconds."""
+    if width < 60:
+        return "seconds", 1.0
+    return ("minutes", 60.0) if width < 3600 else ("hours", 3600.0)
+
+
+def histogram_chart(values: F8, label: str) -> Picture:
+    """How many objects have a value, in at most 24 bars of equal width from 0 on.
+
+    Parameters
+    ----------
+    values : (n,) of the objects; those that are not known are left out.
+    label : what the values are, with their unit.
+    """
+    axes = _axes(2.2, label, "objects")
+    known = values[np.isfinite(values)]
+    most = float(known.max()) if len(known) else 1.0
+    bars = min(24, max(6, len(known)))
+    axes.hist(known, bars, range=(0.0, most or 1.0), color=_BLUE, alpha=0.7, rwidth=0.92)
+    axes.locator_params(axis="y", integer=True)
+    return _chart(axes, bottom=0)
+
+
+def visited_picture(record: RunRecord) -> Picture:
+    """Where the foot points of the tracks were, over the scene."""
+    info = record.info
+    axes = _frame_axes(info)
+    share = visited(record.tracks, info, _CELLS // 2)
+    level = np.sqrt(share / max(float(share.max()), 1e-12))
+    step = max(info.width, info.height) / (_CELLS // 2)
+    axes.imshow(
+        level,
+        cmap="inferno",
+        extent=(0, share.shape[1] * step, share.shape[0] * step, 0),
+        alpha=np.where(level > 0, 0.25 + 0.7 * level, 0.0),
+        vmin=0,
+        vmax=1,
+        interpolation="bilinear",
+    )
+    axes.set(xlim=(0, info.width), ylim=(info.height, 0))
+    return _over_scene(axes, record.background, darkness=0.5)
 
 
 def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: bool) -> Picture:

@@ -59,7 +59,7 @@ def environment() -> Environment:
     made.filters |= {
         function.__name__: function
         for function in (
-            *(grouped, counted, duration, seconds, nats, odds, percent, rate, score, spread),
+            *(clock, grouped, counted, duration, seconds, nats, odds, percent, rate, score, spread),
             known_mean,
         )
     }
@@ -223,6 +223,14 @@ def percent(part: float, whole: float = 1.0) -> str:
     share = 100 * part / whole
     decimals = 1 if 0 < share < 10 else 0
     return f"{share:.{decimals}f}{_NBSP}%"
+
+
+def clock(time: float) -> str:
+    """A time of the video as minutes and seconds, 1:05.2, with hours from one on."""
+    tenths = round(10 * time)
+    hours, rest = divmod(tenths, 36000)
+    text = f"{rest % 600 / 10:04.1f}"
+    return f"{hours}:{rest // 600:02d}:{text}" if hours else f"{rest // 600}:{text}"
 
 
 def seconds(time: float) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,8 @@ from phdtrack.arrays import pixelated
 from phdtrack.opencv_package import cv2
 from phdtrack.report.appearance_worth import AppearanceRecorder, AppearanceWorth
 from phdtrack.report.doubtful_tracks import DoubtfulTracks
+from phdtrack.report.object_list import Minute, Seen, minutes, objects
+from phdtrack.report.thumbnails import Thumbnails
 from phdtrack.types import F8, I8, Frame, Image, SequenceInfo, Step, Tracks, Truth
 
 STAGES = ("detect", "filter", "extract", "associate")
@@ -139,6 +141,7 @@ class RunRecord:
     doubtful : how many boxes are in doubtful tracks; None if the detector reports objects, not
         moving regions.
     appearance : what appearance was worth; None without a source of it.
+    thumbnails : small pictures of objects as ``data:`` addresses, by identity.
     """
 
     info: SequenceInfo
@@ -158,6 +161,7 @@ class RunRecord:
     names: Mapping[int, str] | None = None
     doubtful: DoubtfulTracks | None = None
     appearance: AppearanceWorth | None = None
+    thumbnails: Mapping[int, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -166,6 +170,33 @@ class RunRecord:
     def lifetimes(self) -> I8:
         """(n,) number of boxes of each track, ascending."""
         return np.sort(np.unique(self.tracks.identity, return_counts=True)[1])
+
+    @property
+    def objects(self) -> list[Seen]:
+        """The objects of the tracks, by the time at which they came."""
+        return objects(self.tracks, self.numbers, self.times, self.names)
+
+    def stretches(self, width: float) -> list[Minute]:
+        """How many objects there were in each stretch of ``width`` seconds."""
+        return minutes(self.objects, self.times, self.track_count, width)
+
+    @property
+    def durations(self) -> F8:
+        """(n,) seconds from the first to the last box of each object."""
+        return np.array([one.seconds for one in self.objects])
+
+    @property
+    def speeds(self) -> F8:
+        """(n,) speed of each object in heights of its own box per second; NaN if unknown."""
+        return np.array([one.speed_in_heights for one in self.objects])
+
+    @property
+    def width(self) -> float:
+        """Seconds of a bar in the chart of arrivals: a second, ten, a minute or an hour, for 3 to
+        180 bars.
+        """
+        total = float(self.times[-1] - self.times[0]) if len(self) else 0.0
+        return max((one for one in (1.0, 10.0, 60.0, 3600.0) if total >= 3 * one), default=1.0)
 
     @property
     def by_class(self) -> Mapping[str, int]:
@@ -243,6 +274,7 @@ class Recorder:
         self._picture = NO_IMAGE
         self._pictured = 0
         self.appearance = AppearanceRecorder()
+        self._thumbnails = Thumbnails(blur)
 
     def add(self, frame: Frame | None, step: Step, detect_seconds: float) -> None:
         """Add one frame.
@@ -273,13 +305,17 @@ class Recorder:
         self.appearance.see(step.appeared)
         if not step.detections.observed:
             self._unobserved.append(step.number)
-        if frame is not None and self._whole.frames.bit_count() == 1:
-            boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
+        if frame is None:
+            return
+        boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
+        if not self._endless:
+            self._thumbnails.see(frame, step.tracks, boxes)
+        if self._whole.frames.bit_count() == 1:
             self._picture = self._hidden(_small(frame), boxes)
             self._pictured = step.number
 
     def keep_picture_of(self, other: Recorder) -> None:
-        """Take over the picture of a recorder of the same frames.
+        """Take over the pictures of a recorder of the same frames.
 
         Parameters
         ----------
@@ -287,6 +323,7 @@ class Recorder:
         """
         self._picture = other._picture
         self._pictured = other._pictured
+        self._thumbnails = other._thumbnails
 
     def count(self, rows: Tracks) -> None:
         """Count final corrected rows of a source without end.
@@ -336,6 +373,7 @@ class Recorder:
             log_evidence=table[:, 4],
             whole=whole,
             track_count=track_count,
+            thumbnails=self._thumbnails.of(tracks),
         )
 
     def _hidden(self, image: Image, boxes: F8) -> Image:

@@ -42,6 +42,8 @@ EVENTS = "events.csv"
 WARNINGS = "warnings.csv"
 VIDEO = "annotated.mp4"
 PLAN = "plan.mp4"
+OBJECTS = "objects.csv"
+MINUTES = "minutes.csv"
 REPORT = "report.html"
 RUN = "run.json"
 CAMERA_MOTION = "camera_motion.csv"
@@ -72,6 +74,8 @@ RUN_FILES = {
     COUNTS_PICTURE: "lines, zones and what was counted",
     COUNTS_VIDEO: "the same while it goes on",
     COUNTS_PAGE: "the figures on a page",
+    OBJECTS: "each object: when it came and left, how far and how fast it went",
+    MINUTES: "how many objects in each minute",
     REPORT: "the run in pictures and numbers",
     RUN: "settings and statistics (JSON)",
 }

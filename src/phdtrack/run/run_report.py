@@ -12,6 +12,7 @@ import numpy as np
 from phdtrack.detect.scene_knowledge import scene_warnings
 from phdtrack.files import write_text
 from phdtrack.report import RunRecord, report_html, run_document, sentences, write_run
+from phdtrack.report.object_list import MINUTE, minutes_csv, objects_csv
 from phdtrack.report.pages import doubts, lines
 from phdtrack.run import directory as rundir
 from phdtrack.run.confirmation import confirmation
@@ -101,6 +102,12 @@ def write_report(
     with progress.writing():
         page = report_html(record, configuration | inputs)
         write_text(run.directory.file(rundir.REPORT), page)
+    if run.inputs.again:
+        # A source without end keeps its last frames only.
+        with progress.writing():
+            write_text(run.directory.file(rundir.OBJECTS), objects_csv(record.objects))
+            rows = minutes_csv(record.stretches(MINUTE))
+            write_text(run.directory.file(rundir.MINUTES), rows)
     complete = progress.ended is None
     document = run_document(record, configuration) | {"complete": complete} | inputs
     document |= _told(progress, record)

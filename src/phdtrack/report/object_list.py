@@ -1,0 +1,197 @@
+"""The objects of a run: when each was seen, how far and how fast it went, and how many there were
+in each minute.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from phdtrack.report.drawing import feet
+from phdtrack.types import F8, I8, SequenceInfo, Tracks
+
+# Seconds over which a path is averaged before its length and speed are measured: boxes tremble.
+_SMOOTHED = 0.5
+MINUTE = 60.0
+"""Seconds of a row of `minutes`."""
+
+
+class Seen(NamedTuple):
+    """One object.
+
+    Attributes
+    ----------
+    identity, name : its number, and its class; empty without classes.
+    first, last : seconds of its first and its last box.
+    boxes, predicted : rows, and those without a detection.
+    distance : pixels that its foot point went.
+    speed : median of its speed, pixels per second; NaN if it was seen too briefly.
+    speed_in_heights : the same in heights of its own box per second, which mean about the same near
+        the camera and far away.
+    """
+
+    identity: int
+    name: str
+    first: float
+    last: float
+    boxes: int
+    predicted: int
+    distance: float
+    speed: float
+    speed_in_heights: float
+
+    @property
+    def seconds(self) -> float:
+        """Seconds from its first to its last box."""
+        return self.last - self.first
+
+
+class Minute(NamedTuple):
+    """One minute.
+
+    Attributes
+    ----------
+    start : seconds at which it begins.
+    objects : objects that were there at some time in it.
+    arrived : objects whose first box is in it.
+    mean : mean number of objects in a frame.
+    """
+
+    start: float
+    objects: int
+    arrived: int
+    mean: float
+
+
+def objects(
+    tracks: Tracks, numbers: I8, times: F8, names: Mapping[int, str] | None = None
+) -> list[Seen]:
+    """The objects of corrected tracks, by the time at which they came.
+
+    Parameters
+    ----------
+    tracks : rows, boxes in pixels.
+    numbers, times : (F,) frames, ascending, and their seconds.
+    names : the names of the classes; None without classes.
+    """
+    found = []
+    seconds = np.interp(tracks.frame, numbers, times) if len(numbers) else np.zeros(len(tracks))
+    for identity in np.unique(tracks.identity):
+        rows = np.flatnonzero(tracks.identity == identity)
+        rows = rows[np.argsort(tracks.frame[rows])]
+        time = seconds[rows]
+        boxes = tracks.xyxy[rows]
+        step, path = _path(time, feet(boxes))
+        speed = path / step if len(step) else np.full(1, np.nan)
+        height = max(float(np.median(boxes[:, 3] - boxes[:, 1])), 1e-9)
+        median = float(np.median(speed))
+        name = ""
+        if names is not None:
+            number = int(tracks.class_id[rows[0]])
+            name = names.get(number, str(number))
+        found.append(
+            Seen(
+                int(identity),
+                name,
+                float(time[0]),
+                float(time[-1]),
+                len(rows),
+                int(tracks.predicted[rows].sum()),
+                float(path.sum()),
+                median,
+                median / height,
+            )
+        )
+    return sorted(found, key=lambda one: (one.first, one.identity))
+
+
+def minutes(found: Sequence[Seen], times: F8, track_count: I8, width: float) -> list[Minute]:
+    """How many objects there were in each stretch of ``width`` seconds.
+
+    Parameters
+    ----------
+    found : the objects.
+    times : (F,) seconds of the frames, ascending.
+    track_count : (F,) objects in each frame.
+    width : seconds of a row.
+    """
+    if not len(times):
+        return []
+    rows = []
+    for k in range(math.floor((times[-1] - times[0]) / width) + 1):
+        start = float(times[0]) + k * width
+        there = (times >= start) & (times < start + width)
+        rows.append(
+            Minute(
+                start,
+                sum(one.first < start + width and one.last >= start for one in found),
+                sum(start <= one.first < start + width for one in found),
+                float(track_count[there].mean()) if there.any() else math.nan,
+            )
+        )
+    return rows
+
+
+def objects_csv(found: Sequence[Seen]) -> str:
+    """The objects as CSV: seconds with three decimals, pixels with one."""
+    head = ("identity", "class", "first", "last", "seconds", "boxes", "predicted", "distance")
+    return _csv(
+        (*head, "speed", "speed_in_heights"),
+        [
+            (
+                one.identity,
+                one.name,
+                *(f"{value:.3f}" for value in (one.first, one.last, one.seconds)),
+                one.boxes,
+                one.predicted,
+                *(f"{value:.1f}" for value in (one.distance, one.speed)),
+                f"{one.speed_in_heights:.3f}",
+            )
+            for one in found
+        ],
+    )
+
+
+def minutes_csv(rows: Sequence[Minute]) -> str:
+    """The minutes as CSV; ``start`` in seconds."""
+    return _csv(
+        Minute._fields,
+        [(f"{row.start:.3f}", row.objects, row.arrived, f"{row.mean:.2f}") for row in rows],
+    )
+
+
+def visited(tracks: Tracks, info: SequenceInfo, cells: int) -> F8:
+    """(h, w) share of the boxes whose foot point is in each cell of the frame, ``cells`` along its
+    longer side.
+    """
+    step = max(info.width, info.height) / cells
+    shape = max(1, math.ceil(info.height / step)), max(1, math.ceil(info.width / step))
+    x, y = feet(tracks.xyxy).T
+    extent = ((0, shape[0] * step), (0, shape[1] * step))
+    counts, _, _ = np.histogram2d(y, x, shape, extent)
+    return np.asarray(counts / max(len(tracks), 1), np.float64)
+
+
+def _path(time: F8, points: F8) -> tuple[F8, F8]:
+    """Seconds and pixels of each step of a path (n, 2), averaged over `_SMOOTHED` seconds."""
+    bins = np.floor((time - time[0]) / _SMOOTHED).astype(np.int64)
+    _, row, count = np.unique(bins, return_inverse=True, return_counts=True)
+    mean = np.stack(
+        [np.bincount(row, column) / count for column in (time, points[:, 0], points[:, 1])], axis=1
+    )
+    step = np.diff(mean, axis=0)
+    return step[:, 0], np.hypot(step[:, 1], step[:, 2])
+
+
+def _csv(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """CSV with a header; numbers that are not known are empty."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows([["" if value == "nan" else value for value in row] for row in rows])
+    return out.getvalue()
