@@ -4,7 +4,8 @@ A frame shows detections as thin white outlines, red and crossed if the filter r
 alarms (posterior clutter probability above one half) and no track lies over them; fading trails at
 the feet of tracks; tracks in the colour of their identity with its number, dashed if no detection
 supports the box; tracks not yet confirmed faintly and without a number; and a header with the
-frame's number, the number of tracks, and the filter's expected count.
+frame's number, the number of tracks, and the filter's expected count. A legend in the first second
+says what the boxes mean.
 """
 
 from __future__ import annotations
@@ -34,6 +35,15 @@ _TRACKED_IOU = 0.5
 _FADING = 8
 _POINTS = 19
 _DEFAULT_FPS = 25.0
+# The legend: its seconds, what it says, and the least height of a frame for it, in pixels.
+_LEGEND_SECONDS = 1.0
+_LEGEND = (
+    ("coloured box: a track, with its number", identity_colour(1)),
+    ("dashed: the track, not detected here", identity_colour(1)),
+    ("thin white: a detection", WHITE),
+    ("crossed out: a detection taken for a false alarm", _FALSE_ALARM),
+)
+_LEAST_HEIGHT = 240
 _ROUNDING = 1e-6
 
 
@@ -41,7 +51,7 @@ class Annotator:
     """Draws frame after frame, and keeps the trails, which reach ``trail_seconds`` back.
 
     Labels include the class if there are ``names``. ``blur`` (`arrays.pixelated`) hides the content
-    of all boxes first.
+    of all boxes first. With a ``legend``, the frames of the first second have one.
 
     Parameters
     ----------
@@ -55,13 +65,18 @@ class Annotator:
         trail_seconds: float = 1.5,
         names: Mapping[int, str] | None = None,
         blur: str = "",
+        legend: bool = False,
     ) -> None:
+        # Frames that have one.
+        self._legend = 0
         self._fps = info.fps if info.fps > 0 else _DEFAULT_FPS
         # At least from one frame to the next.
         self._seconds = max(trail_seconds, 1.5 / self._fps)
         # Number and time of the frames that trails reach back to.
         self._times = deque[tuple[int, float]]()
         self._blur = blur
+        if legend and info.height >= _LEAST_HEIGHT:
+            self._legend = math.ceil(_LEGEND_SECONDS * self._fps)
         self._past = Tracks.empty()
         self._names = names
         self._canvas = Canvas(np.zeros((max(1, info.height), max(1, info.width), 3), np.uint8))
@@ -131,6 +146,9 @@ class Annotator:
         if math.isfinite(mass):
             header += f"   expected count {mass:.1f}"
         canvas.plate(header, (0, 0), BLACK, _HEADER_OPACITY, cached=False)
+        if self._legend > 0:
+            self._legend -= 1
+            canvas.legend(_LEGEND, _HEADER_OPACITY)
         return canvas.onto(image)
 
     def _labels(self, rows: Tracks) -> list[str]:

@@ -169,8 +169,9 @@ class Canvas:
         opacity: float = 1.0,
         *,
         cached: bool = True,
-    ) -> None:
-        """Draw text on a coloured plate, moved and shrunk to stay in the picture.
+    ) -> int:
+        """Draw text on a coloured plate, moved and shrunk to stay in the picture; its height in
+        pixels.
 
         Parameters
         ----------
@@ -189,6 +190,19 @@ class Canvas:
         visible = self.image[area].shape[:2]
         self.image[area] = plate[: visible[0], : visible[1]]
         self._opacity[area] = alpha[: visible[0], : visible[1]]
+        return int(height)
+
+    def legend(self, entries: Sequence[tuple[str, Rgb]], opacity: float) -> None:
+        """Draw plates above each other in the lower left corner.
+
+        Parameters
+        ----------
+        entries : texts, and the colours of their plates, from top to bottom.
+        opacity : of the plates; from 0 to 1.
+        """
+        bottom = len(self.image)
+        for text, fill in reversed(entries):
+            bottom -= self.plate(text, (0, bottom), fill, opacity)
 
     def text(self, text: str, corner: Sequence[int], colour: Rgb) -> None:
         """Draw small letters without a plate.

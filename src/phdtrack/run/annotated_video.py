@@ -53,7 +53,7 @@ class _Drawing:
         self._factor = np.tile(np.divide(self.size, sides), 2)
         blur = run.options.blur
         small = replace(info, width=self.size[0], height=self.size[1])
-        self._annotate = Annotator(small, names=run.names, blur=blur)
+        self._annotate = Annotator(small, names=run.names, blur=blur, legend=True)
         # The decoder's planes go to the encoder as they are; blurring, and odd sizes, need BGR.
         self._planes = planes and not (blur or self.size[0] % 2 or self.size[1] % 2)
 
