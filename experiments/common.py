@@ -157,11 +157,16 @@ class ScoredCase:
         return sum(self.stages)
 
 
+def data_place() -> Path:
+    """Where the real sequences are looked for: $PHDTRACK_DATA or ../shared/data."""
+    return Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
+
+
 def need_data() -> Path:
     """The folder of real sequences, $PHDTRACK_DATA or ../shared/data; `InputError` if it is
     missing.
     """
-    data = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
+    data = data_place()
     if not (data / "mot15").is_dir():
         raise InputError(
             "the real sequences are missing",
