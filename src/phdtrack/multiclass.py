@@ -24,7 +24,7 @@ import numpy as np
 
 from phdtrack import pipeline
 from phdtrack.detect.convert import MAX_CLASSES, DiscardedBoxes, Limits
-from phdtrack.kernels.grid import uncrowded
+from phdtrack.kernels.grid import may_be_crowded, uncrowded
 from phdtrack.models.warp import joined
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
@@ -131,8 +131,10 @@ class ClassSettings:
             labels = np.where(detections.class_id == label, first, labels)
         return labels
 
-    def selected(self, detections: Detections) -> Bool:
-        """(N,) whether each detection is of a class that is tracked, with enough score and size."""
+    def selected(self, detections: Detections) -> Detections:
+        """The detections of classes that are tracked, with enough score and size."""
+        if not (self.only or self.least):
+            return detections
         labels = detections.class_id
         good = np.ones(len(detections), np.bool_)
         if self.only:
@@ -140,7 +142,7 @@ class ClassSettings:
         for label, (score, side) in self.least.items():
             size = (detections.xyxy[:, 2:] - detections.xyxy[:, :2]).max(axis=1, initial=0.0)
             good &= (labels != label) | ((detections.confidence >= score) & (size >= side))
-        return good
+        return _only(detections, good)
 
     def within_limits(
         self, detections: Detections, known: Collection[int] = ()
@@ -154,12 +156,14 @@ class ClassSettings:
         """
         rows, out = self.limits.plausible(detections)
         plausible = detections if len(rows) == len(detections) else detections.select(rows)
-        selected = _only(plausible, self.selected(plausible))
-        of_classes = _only(selected, self._among_classes(selected, known))
-        apart = _only(of_classes, self._uncrowded(of_classes))
+        selected = self.selected(plausible)
+        of_classes = self._among_classes(selected, known)
+        apart = self._uncrowded(of_classes)
         best = apart
         if len(apart) > self.limits.max_detections:
             best = apart.select(self.limits.best(apart.confidence))
+        if best is detections:
+            return best, out
         return best, out._replace(
             unwanted=len(plausible) - len(selected),
             classes=len(selected) - len(of_classes),
@@ -167,41 +171,46 @@ class ClassSettings:
             surplus=len(apart) - len(best),
         )
 
-    def _among_classes(self, detections: Detections, known: Collection[int]) -> Bool:
-        """(N,) whether the class of each detection is known, or one of those that there is room
-        for.
-        """
+    def _among_classes(self, detections: Detections, known: Collection[int]) -> Detections:
+        """The detections whose class is known, or one of those that there is room for."""
         labels = self.tracked_as(detections)
         if len({*known, *labels.tolist()}) <= MAX_CLASSES:
-            return np.ones(len(detections), np.bool_)
+            return detections
         best = dict.fromkeys(labels[np.argsort(-detections.confidence, kind="stable")].tolist())
         every = [*known, *(label for label in best if label not in known)]
-        return np.isin(labels, every[:MAX_CLASSES])
+        return _only(detections, np.isin(labels, every[:MAX_CLASSES]))
 
-    def _uncrowded(self, detections: Detections) -> Bool:
-        """(N,) whether each detection is one of the best in its place, of those of its class."""
+    def _uncrowded(self, detections: Detections) -> Detections:
+        """The detections that are among the best in their place, of those of their class."""
         most = self.limits.max_in_one_place
-        kept = np.ones(len(detections), np.bool_)
         if len(detections) <= most:
-            return kept
+            return detections
+        kept: Bool | None = None
         labels = self.tracked_as(detections)
-        for label in _distinct(labels):
-            rows = np.flatnonzero(labels == label)
+        distinct = _distinct(labels)
+        for label in distinct:
+            rows = np.arange(len(detections))
+            if len(distinct) > 1:
+                rows = np.flatnonzero(labels == label)
             if len(rows) <= most:
                 continue
-            own = detections if len(rows) == len(detections) else detections.select(rows)
+            own = detections if len(distinct) == 1 else detections.select(rows)
             sensor = self.stages(label).model.sensor
             z = sensor.measure(own)
             low, high = sensor.gate(z)
             half = (high - low) / 2
+            if not may_be_crowded(np.ascontiguousarray(z[:2]), half, most):
+                continue
             order = np.argsort(-own.confidence, kind="stable")
             # A foot above the horizon is in no place.
             known = np.asarray(np.isfinite(z).all(axis=0) & np.isfinite(half).all(axis=0))
             order = order[known[order]]
+            if kept is None:
+                kept = np.ones(len(detections), np.bool_)
             kept[rows[order]] = uncrowded(
                 np.ascontiguousarray(z[:2, order]), np.ascontiguousarray(half[:, order]), most
             )
-        return kept
+        return detections if kept is None else _only(detections, kept)
 
 
 @dataclass(slots=True)
@@ -247,9 +256,10 @@ class _ClassPipeline:
             self.stages, self.state, detections, number, time, self.rng, warp
         )
         rows = step.tracks
-        self.highest = max(self.highest, int(rows.identity.max(initial=0)))
+        self.highest = max((self.highest, *rows.identity.tolist()))
         if not self.together:
-            return replace(step, tracks=_with_class(rows, label))
+            # Rows are of class 0 at first.
+            return replace(step, tracks=_with_class(rows, label)) if label else step
         if detections.observed:
             frame = (number, detections.row, detections.class_id, detections.confidence)
             self.waiting = (*self.waiting, frame)
@@ -324,6 +334,11 @@ class ClassPipelines:
     def states(self) -> dict[int, TrackingState]:
         """The states of all classes."""
         return {label: one.state for label, one in self._pipelines.items()}
+
+    @property
+    def labels(self) -> Collection[int]:
+        """The classes that have been seen."""
+        return self._pipelines.keys()
 
     @property
     def several(self) -> bool:

@@ -126,11 +126,8 @@ def advance(
     intervals, dt, model = _with_pace(stages, state, time, model)
     began = clock.perf_counter()
     targets, divided, z = _explained(stages, state, detections, z, model, dt)
-    usable = np.asarray(np.isfinite(z).all(axis=0))
-    if not usable.all():
-        divided = divided.select(usable)
-        z = np.ascontiguousarray(z[:, usable])
-    measured = divided.detections
+    divided, z, unusable = _usable(divided, detections, z)
+    measured = divided.detections if divided else detections
 
     # Predict and update
     appearance, model = _with_looks(stages, state, model, measured, time)
@@ -144,7 +141,7 @@ def advance(
 
     # Extract
     estimates = stages.extractor.extract(intensity, z, model)
-    if stages.explainer:
+    if stages.explainer and divided:
         targets = stages.explainer.advance(targets, divided, estimates, model, dt)
     extracted = clock.perf_counter()
 
@@ -167,11 +164,11 @@ def advance(
         number,
         time,
         detections,
-        divided.in_frame(info),
+        divided.in_frame(info) if divided else info,
         estimates.in_rows(measured.row),
         tracks,
         (updated - began, extracted - updated, clock.perf_counter() - extracted),
-        int(np.count_nonzero(~usable)),
+        unusable,
         _since_last(state.moved, model.warp),
         appeared,
     )
@@ -266,6 +263,8 @@ def _with_looks(
     if stages.appearance is None:
         return state.appearance, model
     appearance, looks = stages.appearance.looks(state.appearance, measured, time)
+    if looks is None and model.appearance is None:
+        return appearance, model
     return appearance, replace(model, appearance=looks)
 
 
@@ -281,14 +280,29 @@ def _appeared(
 
 def _explained(
     stages: AnyStages, state: TrackingState, detections: Detections, z: F8, model: Model, dt: float
-) -> tuple[Any, DividedDetections, F8]:
-    """The expected targets, the detections that the filter gets, and their measurements."""
+) -> tuple[Any, DividedDetections | None, F8]:
+    """The expected targets, the detections that the filter gets, None if they are as they were, and
+    their measurements.
+    """
     if stages.explainer is None:
-        return None, DividedDetections.unchanged(detections), z
+        return None, None, z
     targets, divided = stages.explainer.explain(state.expected_targets, detections, z, model, dt)
     if divided.changed:
         z = model.sensor.measure(divided.detections)
     return targets, divided, z
+
+
+def _usable(
+    divided: DividedDetections | None, detections: Detections, z: F8
+) -> tuple[DividedDetections | None, F8, int]:
+    """The detections that the filter gets and their measurements (m, N), without those that show no
+    possible state, and the number of these.
+    """
+    if np.isfinite(z).all():
+        return divided, z, 0
+    usable = np.asarray(np.isfinite(z).all(axis=0))
+    kept = (divided or DividedDetections.unchanged(detections)).select(usable)
+    return kept, np.ascontiguousarray(z[:, usable]), int(np.count_nonzero(~usable))
 
 
 def _with_pace(
@@ -332,7 +346,7 @@ def _with_camera_motion(
         interval = (when[1] - state.observed_time) * stages.model.rate
         camera, warp = stages.camera.between(camera, z, stages.model, interval, warp)
     if len(warp):
-        model = replace(model, warp=warp)
+        model = model.with_warp(warp)
     return camera, model
 
 

@@ -257,6 +257,46 @@ class Model:
     births_before: float = 0.0
     appearance: Looks | None = field(default=None, compare=False)
 
+    def with_clutter(self, clutter: Clutter) -> Model:
+        """The same model with other clutter.
+
+        Parameters
+        ----------
+        clutter : κ(z).
+        """
+        return Model(
+            self.motion,
+            self.sensor,
+            self.birth,
+            clutter,
+            self.rate,
+            self.first,
+            self.warp,
+            self.pace,
+            self.births_before,
+            self.appearance,
+        )
+
+    def with_warp(self, warp: F8) -> Model:
+        """The same model after another motion of the camera.
+
+        Parameters
+        ----------
+        warp : (3, 3), or `types.STILL`.
+        """
+        return Model(
+            self.motion,
+            self.sensor,
+            self.birth,
+            self.clutter,
+            self.rate,
+            self.first,
+            warp,
+            self.pace,
+            self.births_before,
+            self.appearance,
+        )
+
     def birth_seconds(self, dt: float) -> float:
         """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last
         second.

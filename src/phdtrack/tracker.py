@@ -13,9 +13,10 @@ import logging
 import math
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack, cast
 
@@ -63,6 +64,11 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 # The keys of a saved state.
 _SAVED = {"format", "frame_size", "dim", "settings", "state"}
+# The functions behind those of `signal`, which look handlers up among its enumerations: three calls
+# would take longer than most kernels.
+_SIGNALS: Any = import_module("_signal")
+# The context of `uninterrupted` where nothing is to be done.
+_ANYWHERE = nullcontext()
 # Stands for the classes of detections that are all of one.
 _ONE_CLASS: I8 = np.zeros(0, np.int64)
 
@@ -215,7 +221,9 @@ class Tracker:
         """
         number, time = self._moment(frame, timestamp)
         where = f"frame {number}"
-        found = as_detections(detections, where=where).numbered()
+        found = as_detections(detections, where=where)
+        if isinstance(detections, Detections):
+            found = found.numbered()
         if embeddings is not None and image is not None:
             raise InputError(
                 "got embeddings and an image, and each says what the boxes look like",
@@ -232,7 +240,7 @@ class Tracker:
             from phdtrack.models.scene import refuse_standing
 
             refuse_standing(self.stages.model)
-        tracked, left_out = self.classes.within_limits(found, self._pipelines.states)
+        tracked, left_out = self.classes.within_limits(found, self._pipelines.labels)
         if image is not None:
             picture = self._picture(image, f"{where}, update(image=…)")
             tracked = replace(tracked, embeddings=Colours().describe(picture, tracked.xyxy))
@@ -242,7 +250,8 @@ class Tracker:
             doubts = self._check(self._step)
         self._embedding_length = length
         self._warn(number, time, found, left_out, doubts)
-        self._left_out = self._left_out.with_more(left_out)
+        if any(left_out):
+            self._left_out = self._left_out.with_more(left_out)
         return self._step.tracks
 
     def _moment(self, frame: int | None, timestamp: float | None) -> tuple[int, float]:
@@ -317,8 +326,9 @@ class Tracker:
         """Warn of what is new in a frame: boxes left out, implausible units, doubts, and forgotten
         frames.
         """
-        for sentence in left_out.sentences(self._left_out):
-            self.on_warning(f"frame {number}: {sentence}")
+        if any(left_out):
+            for sentence in left_out.sentences(self._left_out):
+                self.on_warning(f"frame {number}: {sentence}")
         if not self._warnings.of_units:
             warning = unit_warning(found, self.classes.limits.frame_size)
             if warning:
@@ -363,6 +373,7 @@ class Tracker:
             box = np.hstack([corner, corner + [0.03, 0.15] * size])
             label = np.resize([*self.classes.only, *self.classes.own] or [0], len(box))
             found = Detections.of(box, rng.uniform(0.3, 1.0, len(box)), label)
+            unit_warning(as_detections(found), limits.frame_size)
             with uninterrupted():
                 made = pipelines.advance(self.classes.within_limits(found)[0], k, k / self.fps)
                 seen = self._checks.advance(seen, made, _ONE_CLASS)[0]
@@ -555,8 +566,24 @@ class Tracker:
             raise InputError(problem, where=where, cure=cure)
 
 
-@contextmanager
-def uninterrupted() -> Iterator[None]:
+class _Deferring:
+    """The context of `uninterrupted` in the main thread, whose ``handler`` it puts back."""
+
+    def __init__(self, handler: Any) -> None:
+        self._handler = handler
+
+    def __enter__(self) -> None:
+        _SIGNALS.signal(signal.SIGINT, later)
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        _SIGNALS.signal(signal.SIGINT, self._handler)
+        came = [*DEFERRED]
+        DEFERRED.clear()
+        if came and kind is None:
+            self._handler(came[0], None)
+
+
+def uninterrupted() -> AbstractContextManager[None]:
     """Ctrl-C that comes within the block is raised at its end, a second one at once.
 
     Numba makes Python objects of what compiled code gives back, and crashes where that is
@@ -564,20 +591,10 @@ def uninterrupted() -> Iterator[None]:
     KeyboardInterrupt (`INTERRUPTING`); other handlers are left alone.
     """
     main = threading.current_thread() is threading.main_thread()
-    handler = signal.getsignal(signal.SIGINT)
-    if not main or handler not in INTERRUPTING:
-        yield
-        return
-    signal.signal(signal.SIGINT, later)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-        came = [*DEFERRED]
-        DEFERRED.clear()
-    if came:
-        assert callable(handler)
-        handler(came[0], None)
+    handler = _SIGNALS.getsignal(signal.SIGINT)
+    if main and handler in INTERRUPTING:
+        return _Deferring(handler)
+    return _ANYWHERE
 
 
 def _number(value: Any, where: str) -> float:

@@ -149,7 +149,7 @@ class Detections:
         look = None
         if embeddings is not None:
             look = np.array(embeddings, dtype=np.float32).reshape(n, -1 if n else 0)
-        return cls(boxes, score, label, embeddings=look)
+        return cls(boxes, score, label, None, True, np.arange(n), look)
 
     def __len__(self) -> int:
         return len(self.xyxy)
@@ -773,6 +773,18 @@ class Tracks:
             self.detection,
             self.confirmed,
             class_id,
+        )
+
+    def with_boxes(self, xyxy: F8) -> Tracks:
+        """The same rows with other boxes (M, 4)."""
+        return Tracks(
+            self.frame,
+            self.identity,
+            xyxy,
+            self.confidence,
+            self.detection,
+            self.confirmed,
+            self.class_id,
         )
 
     def to_dataframe(self) -> Any:

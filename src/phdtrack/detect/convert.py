@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phdtrack.arrays import share_inside
 from phdtrack.errors import Checked, InputError, PositiveCount
-from phdtrack.kernels.box import plausible_boxes
+from phdtrack.kernels.box import first_not_finite, outermost, plausible_boxes
 from phdtrack.types import F4, F8, I8, Detections, DetectionTable, Matrix, SequenceInfo
 
 _COLUMNS = (
@@ -79,6 +80,8 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     """
     if isinstance(obj, Detections):
         return _checked(obj, where)
+    if type(obj) is np.ndarray:
+        return _checked(_of_table(obj, where), where)
     if obj is None:
         cure = "If nothing was detected pass an empty array: numpy.empty((0, 4))."
         raise InputError("expected boxes, got None", where=where, cure=cure)
@@ -110,6 +113,15 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     if own is not None:
         found = replace(found, embeddings=as_embeddings(own, n, where))
     return _checked(found, where)
+
+
+def _of_table(values: NDArray[Any], where: str) -> Detections:
+    """The detections of an array, whose shape and classes are checked."""
+    table = values if values.dtype == np.float64 else _numbers(values, where)
+    xyxy, score, label = _columns(table, where)
+    if label is not None:
+        _check_classes(label, where)
+    return Detections.of(xyxy if xyxy.size else [], score, label)
 
 
 def _own_embeddings(obj: object, result: object) -> object | None:
@@ -288,13 +300,14 @@ def unit_warning(found: Detections, size: tuple[float, float]) -> str:
     """A sentence if the boxes of a frame of known size seem to have the wrong units; else empty."""
     if not len(found) or min(size) <= 0:
         return ""
-    left, top, right, bottom = found.xyxy.max(axis=0).tolist()
+    boxes = np.ascontiguousarray(found.xyxy, np.float64)
+    left, top, right, bottom, least = outermost(boxes)
     if max(right, bottom) <= _MAX_SHARE:
         return (
             f"no coordinate exceeds {max(left, top, right, bottom):.3g}: boxes must be in pixels of"
             " the image, not in shares of its size"
         )
-    if left < size[0] and top < size[1] and found.xyxy[:, 2:].min() > 0:
+    if left < size[0] and top < size[1] and least > 0:
         return ""
     outside = ((found.xyxy[:, 2:] <= 0) | (found.xyxy[:, :2] >= size)).any(axis=1).sum()
     return (
@@ -444,9 +457,10 @@ def _checked(found: Detections, where: str) -> Detections:
         raise InputError(
             f"expected xyxy (N, 4), confidence (N,) and class_id (N,), got {got}", where=where
         )
-    finite = np.isfinite(xyxy).all(axis=1) & np.isfinite(found.confidence)
-    if not finite.all():
-        row = int(np.argmin(finite))
+    row = first_not_finite(
+        np.ascontiguousarray(xyxy, np.float64), np.ascontiguousarray(found.confidence, np.float64)
+    )
+    if row >= 0:
         box = "[" + ", ".join(f"{value:g}" for value in xyxy[row]) + "]"
         problem = (
             f"row {row} (from 0) is not finite: box {box}, confidence {found.confidence[row]:g}"

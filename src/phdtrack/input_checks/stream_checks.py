@@ -107,7 +107,7 @@ class StreamChecks:
             if warning:
                 warnings.append(warning)
                 settled = settled._replace(times=True)
-            seen = seen._replace(times=times, settled=settled)
+            seen = StreamSeen(settled, times, *seen[2:])
         if step.detections.observed:
             seen = self._observed(seen, step, labels, warnings)
         return seen, tuple(warnings)
@@ -123,6 +123,8 @@ class StreamChecks:
         use = not seen.settled.use
         classes = len(labels) > 0 and not seen.settled.classes
         if not (use or classes):
+            if not (len(seen.boxes) or len(seen.labels)):
+                return seen
             # An empty frame lies between two others.
             return seen._replace(boxes=_NO_BOXES, labels=_NO_LABELS)
         boxes = np.ascontiguousarray(step.detections.xyxy)

@@ -11,7 +11,7 @@ import numpy as np
 
 from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
 from phdtrack.kernels.gaussian import Predicted, copy_gaussian
 from phdtrack.kernels.grid import sorted_along, within
 
@@ -58,6 +58,44 @@ def plausible_boxes(
             rows[k] = j
             k += 1
     return rows[:k].copy(), empty
+
+
+@njit(**ENTRY)
+def first_not_finite(boxes: F8, score: F8) -> int:
+    """The first of the boxes (n, 4) with a number that is not finite, or whose score is not; −1 if
+    there is none.
+    """
+    for j in range(len(boxes)):
+        total = score[j]
+        for a in range(4):
+            # Finite numbers times 0 are 0.
+            total = total * 0.0 + boxes[j, a] * 0.0
+        if total != 0.0:
+            return j
+    return -1
+
+
+@njit(**ENTRY)
+def outermost(boxes: F8) -> tuple[float, float, float, float, float]:
+    """The largest left, top, right and bottom of boxes (n, 4), and the smallest right or bottom."""
+    most = np.full(4, -np.inf)
+    least = np.inf
+    for j in range(len(boxes)):
+        for a in range(4):
+            most[a] = max(most[a], boxes[j, a])
+        least = min(least, boxes[j, 2], boxes[j, 3])
+    return most[0], most[1], most[2], most[3], least
+
+
+@njit(**ENTRY)
+def centres_and_sizes(boxes: F8) -> F8:
+    """(4, n) centre x, centre y, width and height of boxes (n, 4)."""
+    out = np.empty((4, len(boxes)))
+    for j in range(len(boxes)):
+        for a in range(2):
+            out[a, j] = (boxes[j, a] + boxes[j, 2 + a]) / 2
+            out[2 + a, j] = boxes[j, 2 + a] - boxes[j, a]
+    return out
 
 
 @njit(**ENTRY)
@@ -146,7 +184,7 @@ def _index(names: I8, name: int, first: int) -> int:
     return -1
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def agreement(
     then: tuple[I8, F8, F8],
     between: tuple[I8, F8],
@@ -196,7 +234,7 @@ def agreement(
     return sums
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def between(detected: F8, filtered: F8, centre: float, size: float) -> F8:
     """(n, 4) boxes between those ``detected`` and those ``filtered``: centres and sizes go these
     shares of the way.
@@ -211,6 +249,67 @@ def between(detected: F8, filtered: F8, centre: float, size: float) -> F8:
             out[i, axis] = detected[i, axis] + middle - half
             out[i, 2 + axis] = detected[i, 2 + axis] + middle + half
     return out
+
+
+@njit(**ENTRY)
+def share_of(sums: F8, part: int, prior: tuple[float, float, float]) -> float:
+    """a of `smooth.online` of centres (part 0) or sizes (1), by its sums."""
+    usual, weight, most = prior
+    slope = sums[part, 0] / max(sums[part, 1], 1e-12)
+    share: float = (sums[part, 2] * slope + weight * usual) / (sums[part, 2] + weight)
+    return min(max(share, 0.0), most)
+
+
+@njit(**ENTRY)
+def shown_between(
+    rows: tuple[I8, I8, I8, F8],
+    frame: tuple[int, I8, F8],
+    first: tuple[I8, F8, F8],
+    second: tuple[I8, F8],
+    ratio: float,
+    remembered: float,
+    sums: F8,
+    prior: tuple[float, float, float],
+) -> tuple[F8, I8, F8, F8]:
+    """The sums of `smooth.online` after a frame, and of its rows that rest on detections the
+    identity (n,) and the boxes detected and filtered (n, 4). The boxes of these rows are moved
+    between the two.
+
+    Parameters
+    ----------
+    rows : frame, identity, detection (M,) and boxes (M, 4), which are overwritten, of tracks.
+    frame : its number, and `Detections.row` (N,) and boxes (N, 4) of its detections.
+    first, second : the rows of the two frames before, as of `agreement`.
+    ratio : as of `agreement`.
+    remembered : sides of boxes that are remembered.
+    prior : share before anything is seen, what it counts for, and the largest share.
+    """
+    number, row, boxes = frame
+    at = np.empty(len(rows[0]), np.int64)
+    n = 0 * len(row)
+    for r in range(len(rows[0])):
+        if rows[0][r] == number and rows[2][r] >= 0:
+            at[n] = r
+            n += 1
+    identity = np.empty(n, np.int64)
+    seen = np.empty((n, 4))
+    filtered = np.empty((n, 4))
+    for k in range(n):
+        identity[k] = rows[1][at[k]]
+        j = _index(row, rows[2][at[k]], rows[2][at[k]] if rows[2][at[k]] < len(row) else 0)
+        for a in range(4):
+            seen[k, a] = boxes[j, a]
+            filtered[k, a] = rows[3][at[k], a]
+    if n == 0:
+        return sums, identity, seen, filtered
+    if len(first[0]) > 0:
+        kept = max(1.0 - 2.0 * n / remembered, 0.0)
+        sums = agreement(first, second, (identity, seen), ratio, kept, sums)
+    moved = between(seen, filtered, share_of(sums, 0, prior), share_of(sums, 1, prior))
+    for k in range(n):
+        for a in range(4):
+            rows[3][at[k], a] = moved[k, a]
+    return sums, identity, seen, filtered
 
 
 @njit(**INNER)
@@ -279,7 +378,7 @@ def _in_frame(mean: F8, i: int, width: float, height: float) -> bool:
     return across and along
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F8) -> Predicted:
     """Boxes at constant velocity, (J, 6) and (J, 6, 6), after an interval: F P Fᵀ + Q [M09 (11)].
 
@@ -422,6 +521,18 @@ def states_of_boxes(z: F8, noise: Noise, speed: float) -> tuple[F8, F8]:
             x[c, j] = z[a, j]
             cov[j, c, c] = variance[a]
     return x, cov
+
+
+@njit(**ENTRY)
+def local_densities(z: F8, rate: float, factor: float) -> F8:
+    """(N,) the density at boxes ``z`` (m, N) of which ``rate`` are expected in the neighbourhood of
+    each, whose volume is ``factor`` w²h² (`models.volumes`).
+    """
+    out = np.empty(z.shape[1])
+    for j in range(z.shape[1]):
+        area = z[2, j] * z[3, j]
+        out[j] = rate / (factor * (area * area))
+    return out
 
 
 @njit(**ENTRY)

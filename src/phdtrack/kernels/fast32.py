@@ -28,6 +28,9 @@ FAST = {"contract", "nsz", "arcp", "reassoc", "afn"}
 # of the time of compilation.
 LEAN = {"no_cfunc_wrapper": True, "error_model": "numpy"}
 ENTRY = LEAN | {"cache": True, "nogil": True}
+# For kernels that Python calls, and larger kernels too, which they become a part of before anything
+# is compiled: this takes less time than compiling them and linking them.
+MERGED = ENTRY | {"inline": "always"}
 # For kernels that only kernels call: no wrapper for callers in Python either. A call from Python
 # ends the process.
 INNER = LEAN | {"no_cpython_wrapper": True}

@@ -247,6 +247,36 @@ def points_in_rectangles(at: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
 
 
 @njit(**ENTRY)
+def may_be_crowded(at: F8, half: F8, most: int) -> bool:
+    """False if `uncrowded` keeps all points, because no box holds more than ``most``, its own
+    included; for the same arguments, which may be NaN or infinite here: such points are in no box.
+    """
+    x = np.empty(at.shape[1])
+    n = 0 * at.shape[1]
+    place = np.empty(at.shape[1], np.int64)
+    for i in range(at.shape[1]):
+        if np.isfinite(at[0, i] + at[1, i] + half[0, i] + half[1, i]):
+            x[n] = at[0, i]
+            place[n] = i
+            n += 1
+    cells = sorted_along(x[:n])
+    for k in range(n):
+        i = place[k]
+        begin, end = within(x[k], half[0, i], cells)
+        if end - begin <= most:
+            continue
+        near = 0
+        for q in range(begin, end):
+            j = place[cells[1][q]]
+            near += (
+                abs(at[0, j] - at[0, i]) <= half[0, i] and abs(at[1, j] - at[1, i]) <= half[1, i]
+            )
+        if near > most:
+            return True
+    return False
+
+
+@njit(**ENTRY)
 def uncrowded(at: F8, half: F8, most: int) -> Bool:
     """(N,) true for the points that are kept, in their order: a point is dropped if it and ``most``
     kept ones lie in each other's boxes.

@@ -40,7 +40,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
+from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.errors import Checked, InputError, NonNegative, Positive, Probability, Share
 from phdtrack.kernels.box import (
     DETECTION,
@@ -51,6 +51,7 @@ from phdtrack.kernels.box import (
     Noise,
     box_covariances,
     box_deviations,
+    centres_and_sizes,
     moved_boxes,
     states_of_boxes,
 )
@@ -127,7 +128,7 @@ class BoxSensor(Checked):
         `InputError` if the scaling is ``given`` and there is no covariance, or a variance is not
         above 0.
         """
-        z = to_cxcywh(detections.xyxy)
+        z = np.asarray(centres_and_sizes(np.ascontiguousarray(detections.xyxy, np.float64)))
         if self.scaling != "given":
             return z
         if len(detections) == 0:
@@ -212,11 +213,12 @@ class BoxSensor(Checked):
         in size reach max(sG/2 · w_z/√(1 − G²s²), G·floor/2) from it, for G·s < 1.
         """
         g = self._gate
-        half = g * self._deviations(z)[:2]
         if self.scaling == "particle":
             # G·s ≥ 1 would let every larger box in: the size alone no longer bounds the distance.
             reach = g * self.box_noise / 2 / math.sqrt(max(1 - (g * self.box_noise) ** 2, 0.05))
             half = np.maximum(reach * z[2:4], g * self.min_noise / 2)
+        else:
+            half = g * self._deviations(z)[:2]
         return z[:2] - half, z[:2] + half
 
     def states(self, z: F8) -> tuple[F8, F8]:
@@ -241,6 +243,16 @@ class BoxSensor(Checked):
         if self.scaling == "fixed":
             speed = self.birth_speed_pixels
         return speed / math.sqrt(2)
+
+    @property
+    def noise_of_target(self) -> bool:
+        """True if R scales with the target or is constant, and so `target_noise` is not empty."""
+        return self.scaling in ("particle", "fixed")
+
+    @property
+    def numbers(self) -> tuple[Noise, float, float, bool]:
+        """The sensor in numbers: of `kernels.pmb_boxes.BoxWorld` those behind the factors."""
+        return self._numbers, self._speed, self.detection_probability, self.noise_of_target
 
     def noise(self, x: F8) -> F8:
         """Deviations by which the state's components are resolved: of a measured box of this size,
