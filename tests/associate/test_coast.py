@@ -12,8 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_labels import seen
 
+from inner_kernels import from_python
 from phdtrack.associate.labels import PATIENCE, REMEMBERED, Labelled, LabelledState
-from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning, step_of
+from phdtrack.kernels.coasting import (
+    STEPS,
+    Followed,
+    Reported,
+    after_frame,
+    is_returning,
+    step_of,
+)
 from phdtrack.state import from_bytes, to_bytes, unpack
 from phdtrack.types import Estimates
 
@@ -197,7 +205,7 @@ def test_the_kernel_is_its_definition(seed: int, n: int, m: int):
     np.testing.assert_array_equal(before.verdicts, verdicts)
     found, lost = verdicts[:, step_of(age)]
     expected = rng.random(n) < 0.5
-    assert (
-        returning(verdicts, age, expected, 3.0, 0.5).tolist()
-        == (found + 3 * expected > (found + lost + 3) / 2).tolist()
-    )
+    [returns] = from_python(is_returning)
+    assert [returns(verdicts, *each, 3.0, 0.5) for each in zip(age, expected, strict=True)] == (
+        found + 3 * expected > (found + lost + 3) / 2
+    ).tolist()

@@ -25,6 +25,7 @@ from phdtrack.types import (
     row_of,
 )
 
+NO_DESCRIPTORS: F4 = np.zeros((0, 0), np.float32)
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 # Seconds of the filter's time that are remembered by default, so that memory stays bounded: some
 # 100 MB with ten targets at 25 fps.
@@ -76,13 +77,31 @@ class Moment:
     score: F8
     warp: F8 = field(default_factory=lambda: STILL)
     observed: bool = True
-    embeddings: F4 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    embeddings: F4 = field(default_factory=lambda: NO_DESCRIPTORS)
     pace: float = 1.0
 
     @property
     def rows(self) -> I8:
         """(n,) `Detections.row` of the detection that each state rests on, −1 for none."""
         return row_of(self.row, self.estimates.detection)
+
+    def with_estimates(self, estimates: Estimates) -> Moment:
+        """The same frame with other states."""
+        return Moment(
+            self.number,
+            self.time,
+            self.first,
+            estimates,
+            self.final,
+            self.z,
+            self.row,
+            self.class_id,
+            self.score,
+            self.warp,
+            self.observed,
+            self.embeddings,
+            self.pace,
+        )
 
     def columns(self) -> I8:
         """One measurement for each detection, ascending by row: the last of those that share a
@@ -265,7 +284,7 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
 def descriptors(detections: Detections) -> F4:
     """(N, D) the embeddings of detections; (0, 0) without."""
     if detections.embeddings is None:
-        return np.zeros((0, 0), np.float32)
+        return NO_DESCRIPTORS
     return detections.embeddings
 
 

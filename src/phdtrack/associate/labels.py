@@ -45,7 +45,14 @@ from phdtrack.associate.history import (
 from phdtrack.associate.reidentification import Names, Returns, reidentified
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
 from phdtrack.kernels.appearance import Looks
-from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning
+from phdtrack.kernels.coasting import STEPS, Followed
+from phdtrack.kernels.label_table import (
+    coasting,
+    counted,
+    followed_after,
+    kept_labels,
+    shown_rows,
+)
 from phdtrack.models.predicted_boxes import shown
 from phdtrack.models.warp import warp_states
 from phdtrack.protocols import Model
@@ -97,31 +104,25 @@ class LabelTable(NamedTuple):
         none = np.zeros(len(label), np.int64)
         return cls(label, none, none, np.full(len(label), -np.inf), none > 0)
 
-    def including(self, moments: Sequence[Moment]) -> LabelTable:
-        """The table with a row for every label of the moments."""
-        tag = np.concatenate([m.estimates.tag for m in moments])
-        if len(self.label):
-            tag = tag[self.label.take(self.places(tag), mode="clip") != tag]
-        if not len(tag):
-            return self
-        fresh = LabelTable.of(np.unique(tag))
-        both = LabelTable._make(np.concatenate(pair) for pair in zip(self, fresh, strict=True))
-        return both.select(np.argsort(both.label, kind="stable"))
-
-    def counting(self, moments: Sequence[Moment]) -> LabelTable:
-        """The table with the states of the moments counted, whose labels all have a row."""
-        if not moments:
-            return self
-        states = [m.estimates for m in moments]
-        seen = np.concatenate([e.detection for e in states]) >= 0
-        place = self.places(np.concatenate([e.tag for e in states])[seen])
-        time = np.repeat([m.time for m in moments], [len(e) for e in states])
-        last = self.last.copy()
-        # Moments are in order of time: of several states with a label the last one's stays.
-        last[place] = time[seen]
-        return self._replace(
-            states=self.states + np.bincount(place, minlength=len(self.label)), last=last
+    def after(
+        self, settled: Sequence[Moment], open_moments: Sequence[Moment]
+    ) -> tuple[LabelTable, LabelTable]:
+        """The table with the states of the ``settled`` moments counted, and the same with those of
+        the others counted, too. Every label of the moments gets a row.
+        """
+        moments = [*settled, *open_moments]
+        states = [moment.estimates for moment in moments]
+        start = [0, *itertools.accumulate(len(each.tag) for each in states)]
+        after, count, last = counted(
+            tuple(self),
+            np.concatenate([each.tag for each in states]),
+            np.concatenate([each.detection for each in states]),
+            np.array(start),
+            np.array([moment.time for moment in moments]),
+            len(settled),
         )
+        table = LabelTable(*after)
+        return table, LabelTable(table.label, table.identity, count, last, table.confirmed)
 
     def renamed(self, label: I8, identity: I8) -> LabelTable:
         """The table with these identities of those of the labels that have a row."""
@@ -252,15 +253,13 @@ class Labelled(Checked):
             known = np.isin(now.estimates.tag, state.table.label)
             now = replace(now, estimates=now.estimates.select(known))
             ahead = replace(state, recent=(*recent, now))
-            return self._emitted(ahead, state.table.counting(recent), model)
-        settled, changed = _revise(recent, estimates.past)
-        changed.append(now)
+            return self._emitted(ahead, state.table.after((), ahead.recent)[1], model)
+        settled = _revise(recent, estimates.past)
         history = state.history
         for moment in recent[:settled]:
             history = history.append(moment)
-        table = state.table.including(changed).counting(recent[:settled])
+        table, present = state.table.after(recent[:settled], [*recent[settled:], now])
         recent = recent[settled:]
-        present = table.counting((*recent, now))
         if self.coast_by_evidence:
             followed = self._followed(state.followed, now, present, dt, model)
         else:
@@ -308,7 +307,7 @@ class Labelled(Checked):
         """The online rows of the last ``output_delay`` frames."""
         parts = []
         for due in range(max(0, len(state) - self.output_delay), len(state)):
-            state, tracks = self._emit(state, due, state.table.counting(state.recent), model)
+            state, tracks = self._emit(state, due, state.table.after((), state.recent)[1], model)
             parts.append(tracks)
         return Tracks.concatenate(parts)
 
@@ -362,49 +361,45 @@ class Labelled(Checked):
         now.
         """
         moment = state[due]
-        estimates = moment.estimates
-        place = present.places(estimates.tag)
-        confirmed = self._confirmed(present, place)
-        last = present.last[place]
+        e = moment.estimates
         here = state.seen_until(due)
-        coasting = here - last <= self.max_coast * model.rate + 1e-9
-        if self.coast_by_evidence:
-            age = (state.seen_until(len(state) - 1) - last) / model.rate
-            coasting = returning(state.followed.verdicts, age, coasting, PRIOR, SHARE) | (
-                last >= here
+        known = tuple(present)
+        if self.bridge_gaps:
+            coasts, unseen = coasting(
+                known,
+                e.tag,
+                e.detection,
+                state.followed.verdicts,
+                (
+                    here,
+                    state.seen_until(len(state) - 1),
+                    self.max_coast * model.rate + 1e-9,
+                    model.rate,
+                ),
+                (PRIOR, SHARE),
+                self.min_track_length,
+                (self.coast_by_evidence, moment.observed),
             )
-        coasting = self.bridge_gaps & confirmed & coasting
-        if moment.observed:
-            unseen = np.flatnonzero(coasting & (estimates.detection < 0))
-            coasting[unseen] = shown(
-                model,
-                estimates.state[:, unseen],
-                estimates.covariance[unseen],
-                estimates.weight[unseen],
-            )
+            if moment.observed and len(unseen):
+                coasts[unseen] = shown(
+                    model, e.state[:, unseen], e.covariance[unseen], e.weight[unseen]
+                )
         else:
-            coasting &= present.identity[place] > 0
-        visible = np.flatnonzero((estimates.detection >= 0) | coasting)
-        place = place[visible]
-        confirmed = confirmed[visible]
-        fresh = place[present.identity[place] == 0]
-        identity = present.identity.copy()
-        sure = present.confirmed.copy()
-        identity[fresh] = state.used + 1 + np.arange(len(fresh))
-        sure[place] = confirmed
-        order = np.argsort(identity[place])
-        name = identity[place[order]]
-        at = visible[order]
-        rows = Tracks.of(
+            coasts = np.zeros(len(e), np.bool_)
+        identity, confirmed, used, columns = shown_rows(
+            known,
+            (e.tag, e.detection, e.xyxy, e.weight),
+            moment.row,
+            coasts,
+            self.min_track_length,
             moment.number,
-            name,
-            estimates.xyxy[at],
-            estimates.weight[at],
-            moment.rows[at],
-            confirmed[order],
+            state.used,
         )
-        table = state.table._replace(identity=identity, confirmed=sure)
-        return replace(state, table=table, used=state.used + len(fresh)), rows
+        table = state.table._replace(identity=identity, confirmed=confirmed)
+        after = LabelledState(
+            state.history, state.recent, table, state.time, used, state.followed, state.returns
+        )
+        return after, Tracks(*columns)
 
     def _confirmed(self, present: LabelTable, place: I8) -> Bool:
         """(n,) whether the labels at these places have been confirmed."""
@@ -414,19 +409,21 @@ class Labelled(Checked):
         self, before: Followed, now: Moment, present: LabelTable, dt: float, model: Model
     ) -> Followed:
         """The tracks that may be missing after the newest frame, and the verdicts with its own."""
-        e = now.estimates
-        place = present.places(now.estimates.tag)
-        last = present.last[place] / model.rate
-        sure = self._confirmed(present, place)
-        reported = Reported(e.tag, np.argsort(e.tag), e.xyxy, last, sure)
         interval = dt / model.rate
         patience = max(PATIENCE, PATIENT_FRAMES * interval)
         if len(model.warp) and len(before.label):
             x, y, w, h = to_cxcywh(before.xyxy)
             x, y, _, _, w, h = warp_states(np.stack([x, y, 0 * x, 0 * y, w, h]), model.warp)
             before = before._replace(xyxy=to_xyxy(np.stack([x, y, w, h])))
-        after: Followed = after_frame(
-            before, reported, now.time / model.rate, interval, patience, 1 - 1 / REMEMBERED
+        times = (model.rate, now.time / model.rate, interval, patience, 1 - 1 / REMEMBERED)
+        estimates = now.estimates
+        after: Followed = followed_after(
+            tuple(before),
+            tuple(present),
+            estimates.tag,
+            estimates.xyxy,
+            self.min_track_length,
+            times,
         )
         return after
 
@@ -437,35 +434,28 @@ class Labelled(Checked):
         since = min(state.time - self.history * model.rate, state[due].time)
         # A label of a frame that may still be revised has a row.
         first = min(due, len(state.history))
-        kept = state.table.last >= since
-        old = np.flatnonzero(~kept)
-        if len(old):
-            moments = [*(state[k] for k in range(first, len(state.history))), *state.recent]
-            here = np.concatenate([m.estimates.tag for m in moments])
-            label = state.table.label[old]
-            at = label.searchsorted(here)
-            kept[old[at[label.take(at, mode="clip") == here]]] = True
+        moments = [*(state[k] for k in range(first, len(state.history))), *state.recent]
+        here = np.concatenate([moment.estimates.tag for moment in moments])
+        kept = kept_labels(state.table.label, state.table.last, since, here)
         history = state.history.since(since)
         if history is state.history and kept.all():
             return state
         return replace(state, history=history, table=state.table.select(kept))
 
 
-def _revise(recent: list[Moment], past: tuple[Estimates | None, ...]) -> tuple[int, list[Moment]]:
+def _revise(recent: list[Moment], past: tuple[Estimates | None, ...]) -> int:
     """Write what a filter's past revises into the recent moments, the last of which it reaches.
 
-    Returns how many moments it reaches no more, and those that it revised.
+    Returns how many moments it reaches no more.
     """
     observed = [k for k, moment in enumerate(recent) if moment.observed]
     beyond = len(observed) - len(past)
     settled = observed[beyond - 1] + 1 if beyond > 0 else 0
     reached = observed[max(beyond, 0) :]
-    changed = []
     for k, revised in zip(reached, past[len(past) - len(reached) :], strict=True):
         if revised is not None:
-            recent[k] = replace(recent[k], estimates=_one_each(revised))
-            changed.append(recent[k])
-    return settled, changed
+            recent[k] = recent[k].with_estimates(_one_each(revised))
+    return settled
 
 
 def _one_each(e: Estimates) -> Estimates:

@@ -12,7 +12,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.box import overlap_of
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
 
 # Ages are counted in steps that grow by a third of an octave each, from 1/240 s to three hours.
 STEPS = 64
@@ -55,29 +55,33 @@ class Reported(NamedTuple):
     confirmed: Bool
 
 
+@njit(**INNER)
+def _step_of(age: float) -> int:
+    """The step that is nearest to an age in seconds; whole numbers of frames are far from halfway
+    between steps at all usual rates.
+    """
+    step = PER_OCTAVE * math.log2(max(age, SHORTEST) / SHORTEST)
+    return math.floor(min(step, STEPS - 1.0) + 0.5)
+
+
 @njit(**ENTRY)
 def step_of(age: F8) -> I8:
-    """(n,) the step that is nearest to each age in seconds; whole numbers of frames are far from
-    halfway between steps at all usual rates.
-    """
+    """(n,) the step that is nearest to each age in seconds."""
     out = np.empty(age.size, np.int64)
     for i in range(age.size):
-        step = PER_OCTAVE * math.log2(max(age[i], SHORTEST) / SHORTEST)
-        out[i] = math.floor(min(step, STEPS - 1.0) + 0.5)
+        out[i] = _step_of(age[i])
     return out
 
 
-@njit(**ENTRY)
-def returning(verdicts: F8, age: F8, expected: Bool, prior: float, share: float) -> Bool:
-    """(n,) true if more than the ``share`` of tracks that were missing as long were detected again;
+@njit(**INNER)
+def is_returning(verdicts: F8, age: float, expected: bool, prior: float, share: float) -> bool:
+    """True if more than the ``share`` of tracks that were missing as long were detected again;
     ``prior`` outcomes are as ``expected``.
     """
-    out = np.empty(age.size, np.bool_)
-    step = step_of(age)
-    for i in range(age.size):
-        again = verdicts[0, step[i]]
-        lost = verdicts[1, step[i]]
-        out[i] = again + (prior if expected[i] else 0.0) > share * (again + lost + prior)
+    step = _step_of(age)
+    again = verdicts[0, step]
+    lost = verdicts[1, step]
+    out: bool = again + (prior if expected else 0.0) > share * (again + lost + prior)
     return out
 
 
@@ -100,7 +104,7 @@ def _predicted(xyxy: F8, speed: F8, interval: float) -> F8:
     return out
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def after_frame(
     before: Followed, reported: Reported, now: float, interval: float, patience: float, kept: float
 ) -> Followed:
