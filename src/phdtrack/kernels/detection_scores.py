@@ -12,7 +12,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.box import following
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY
+from phdtrack.kernels.fast32 import ENTRY, MERGED
 
 
 class Line(NamedTuple):
@@ -29,7 +29,7 @@ class Line(NamedTuple):
 PROBABILITY, LOGIT, RANK = range(3)
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def scaled(
     score: F8, low: float, high: float, logits: tuple[float, float], bound: float, least: float
 ) -> tuple[float, float, int, F8]:
@@ -64,7 +64,7 @@ def scaled(
     return low, high, kind, x
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def chained(
     before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: float
 ) -> tuple[F8, I8, F8, F8, Bool]:
@@ -110,7 +110,7 @@ def chained(
     return now, long, true[:t].copy(), false[:f].copy(), alone
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def neighbours(boxes: F8, counted: Bool, most: int) -> tuple[int, int]:
     """How many neighbours some of the boxes (n, 4) have in all among those that are ``counted``
     (n,), and how many these are: evenly spaced, about ``most`` of many.
@@ -140,7 +140,7 @@ def neighbours(boxes: F8, counted: Bool, most: int) -> tuple[int, int]:
     return count, asked
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) -> tuple[F8, F8, F8]:
     """The line after one step of Newton's method with the verdicts on detections with these x; old
     ones are forgotten.
@@ -170,3 +170,92 @@ def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) ->
         precision[1, 0] += curve * x
         precision[1, 1] += curve
     return information, precision, verdicts
+
+
+@njit(**ENTRY)
+def levelled(
+    score: F8,
+    extent: tuple[float, float],
+    level: float,
+    rule: tuple[float, float, float, float],
+    good: tuple[float, float],
+) -> tuple[float, float, int, F8, float]:
+    """The result of `scaled`, with x raised as far as the best scores are low, and their level.
+
+    ``extent``, ``level``: of the scores before. ``rule``: the largest log odds, those that say
+    nothing, the bound and the least probability of `scaled`. ``good``: the x that the best scores
+    have at least, and frames after which the best before count for 37 %. Ranks have no level.
+    """
+    low, high, kind, x = scaled(score, extent[0], extent[1], (rule[0], rule[1]), rule[2], rule[3])
+    if kind == RANK:
+        return low, high, kind, x, level
+    best = -np.inf
+    known = False
+    for j in range(x.size):
+        if not math.isnan(x[j]):
+            known = True
+            best = max(best, x[j])
+    if known:
+        if best < level:
+            best = level - (level - best) / good[1]
+        level = best
+        more = max(good[0] - level, 0.0)
+        for j in range(x.size):
+            x[j] += more
+    return low, high, kind, x, level
+
+
+@njit(**ENTRY)
+def evidence_of(
+    x: F8, slope: float, offset: float, limit: float, of_lasting: float, ranked: bool
+) -> tuple[F8, F8]:
+    """Log odds (n,) of targets against false alarms, and against those that last; 0 for NaN.
+
+    The first are within ``limit``. The others are ``of_lasting`` times them if scores are
+    ``ranked``, else times x.
+    """
+    single = np.empty(x.size)
+    lasting = np.empty(x.size)
+    for j in range(x.size):
+        if math.isnan(x[j]):
+            single[j] = 0.0
+            lasting[j] = 0.0
+        else:
+            single[j] = min(max(slope * x[j] + offset, -limit), limit)
+            lasting[j] = of_lasting * (single[j] if ranked else x[j])
+    return single, lasting
+
+
+@njit(**ENTRY)
+def learned_frame(
+    before: F8,
+    boxes: F8,
+    x: F8,
+    chains: tuple[F8, I8],
+    line: Line,
+    prior: Line,
+    rule: tuple[float, float, int],
+    same_kind: bool,
+) -> tuple[tuple[F8, I8], tuple[F8, F8, F8], bool, tuple[int, int, int, int, int]]:
+    """The chains and the line after a frame, whether there were verdicts on it, and counts: of
+    boxes ``before`` that are alone, and what `neighbours` counts of all boxes, and of those alone.
+
+    ``before``, ``boxes``, ``x``, ``chains``: see `chained`. ``line``, ``prior``: see `newton`.
+    ``rule``: the overlap, how many verdicts are remembered, and how many boxes are asked for
+    neighbours. If scores are no longer of the ``same_kind``, verdicts wait anew.
+    """
+    overlap, remembered, most = rule
+    waiting, length, true, false, lone = chained(before, boxes, x, chains[0], chains[1], overlap)
+    alone = 0
+    for i in range(lone.size):
+        alone += lone[i]
+    near = neighbours(boxes, np.ones(len(boxes), np.bool_), most)
+    of_lone = neighbours(before, lone, most)
+    counts = (alone, near[0], near[1], of_lone[0], of_lone[1])
+    learned = same_kind and true.size + false.size > 0
+    information, precision, verdicts = line
+    if not same_kind:
+        waiting[:] = np.nan
+    elif learned:
+        information, precision, verdicts = newton(line, true, false, prior, remembered)
+    return (waiting, length), (information, precision, verdicts), learned, counts

@@ -32,15 +32,23 @@ by an a below half of the prior's, say as much less of lasting ones.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, Positive, Share
-from phdtrack.kernels.detection_scores import LOGIT, RANK, Line, chained, neighbours, newton, scaled
+from phdtrack.kernels.detection_scores import (
+    LOGIT,
+    RANK,
+    Line,
+    evidence_of,
+    learned_frame,
+    levelled,
+    scaled,
+)
 from phdtrack.models.clutter import BoxClutter, ScoredClutter, UniformClutter
 from phdtrack.protocols import Learning, Model
-from phdtrack.types import F8, I8, Bool, Detections, Step
+from phdtrack.types import F8, I8, Detections, Step
 
 # Scores, and verdicts, that are remembered, the newest.
 KEPT = 3000
@@ -158,16 +166,12 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         _, kind, x, _, _ = _scaled(state, score)
         limit = math.log(self.max_odds)
         slope, offset, deviation = self._line(state, kind)
-        single = np.minimum(np.maximum(slope * x + offset, -limit), limit)
-        if kind == RANK:
-            lasting = LASTING_SHARE * single
-        else:
+        of_lasting = LASTING_SHARE
+        if kind != RANK:
             believed = CLAIMED_SLOPE * self._prior(kind)[0]
-            lasting = x * min((slope + SURE * deviation) / believed, 1.0)
-        nothing = np.isnan(x)
-        if nothing.any():
-            return np.where(nothing, 0.0, single), np.where(nothing, 0.0, lasting)
-        return single, lasting
+            of_lasting = min((slope + SURE * deviation) / believed, 1.0)
+        found: tuple[F8, F8] = evidence_of(x, slope, offset, limit, of_lasting, kind == RANK)
+        return found
 
     def _line(self, state: ScoresSeen, kind: int) -> tuple[float, float, float]:
         """a, b, and the standard deviation of a."""
@@ -206,7 +210,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             more *= min(max(most / NEAR, LEAST_NEAR), 1.0)
             anew = min(self._anew(state) / more, 1.0)
         scored = ScoredClutter(model.clutter, np.exp(single), lasting, more, anew)
-        return replace(model, clutter=scored)
+        return model.with_clutter(scored)
 
     def _anew(self, state: ScoresSeen) -> float:
         """How many times κ the false alarms are that are new in each frame [PMB (19)]."""
@@ -223,23 +227,26 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             return state
         boxes = step.detections.xyxy
         score = step.detections.confidence
-        line = state.line
         extent, kind, x, scores, level = _scaled(state, score)
-        waiting, length, true, false, lone = chained(
-            state.boxes, boxes, x, state.waiting, state.length, LINKED
+        same = kind == state.kind
+        # As plain tuples: Numba looks up the class of every named one.
+        prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
+        (waiting, length), known, learned, counts = learned_frame(
+            state.boxes,
+            boxes,
+            x,
+            (state.waiting, state.length),
+            tuple(state.line or prior),
+            prior,
+            (LINKED, float(KEPT), NEAR_ASKED),
+            same,
         )
         n = len(state.boxes)
         kept = max(1 - n / KEPT, 0.0)
-        alone = kept * state.alone[0] + np.count_nonzero(lone), kept * state.alone[1] + n
-        if kind != state.kind:
-            waiting = np.full(waiting.shape, np.nan)
-            line = None
-            true = true[:0]
-            false = false[:0]
-        if len(true) + len(false):
-            # As plain tuples: Numba looks up the class of every named one.
-            prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
-            line = Line(*newton(tuple(line or prior), true, false, prior, float(KEPT)))
+        alone = kept * state.alone[0] + counts[0], kept * state.alone[1] + n
+        line = state.line if same else None
+        if learned:
+            line = Line(*known)
         return ScoresSeen(
             scores,
             extent,
@@ -248,17 +255,14 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             length,
             line,
             alone,
-            _with_neighbours(state.near, boxes, np.ones(len(boxes), np.bool_)),
-            _with_neighbours(state.near_alone, state.boxes, lone),
+            _with_neighbours(state.near, *counts[1:3]),
+            _with_neighbours(state.near_alone, *counts[3:]),
             level,
         )
 
 
-def _with_neighbours(before: tuple[float, float], boxes: F8, counted: Bool) -> tuple[float, float]:
-    """How many neighbours there were, and of how many detections, with the ``boxes`` (n, 4) of a
-    frame, of which these are ``counted`` (n,).
-    """
-    count, asked = neighbours(boxes, counted, NEAR_ASKED)
+def _with_neighbours(before: tuple[float, float], count: int, asked: int) -> tuple[float, float]:
+    """How many neighbours there were, and of how many detections, with those of a frame."""
     kept = max(1 - asked / KEPT, 0.0)
     return kept * before[0] + count, kept * before[1] + asked
 
@@ -267,18 +271,14 @@ def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8,
     """The extent of all scores, their kind, x of those (n,) of a frame, NaN where they say nothing,
     what is ranked, and the level of the best scores [PMB (17)].
     """
-    low, high, kind, x = scaled(
-        np.ascontiguousarray(score), *state.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST
+    low, high, kind, x, level = levelled(
+        np.ascontiguousarray(score),
+        state.extent,
+        state.level,
+        (LARGEST_LOGIT, EVEN_LOGIT, BOUND, LEAST),
+        (GOOD, LEVEL_FRAMES),
     )
     if kind != RANK:
-        level = state.level
-        known = x[~np.isnan(x)]
-        if len(known):
-            best = float(known.max())
-            if best < level:
-                best = level - (level - best) / LEVEL_FRAMES
-            level = best
-            x = x + max(GOOD - level, 0.0)
         return (low, high), kind, x, state.scores, level
     known = np.concatenate([state.scores, score[~np.isnan(score)]])[-KEPT:]
     if low < high:
