@@ -16,12 +16,14 @@ the precisions that make a t-distribution of Gaussians.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from phdtrack.kernels import F8, I8
+from phdtrack.kernels.box import Noise, box_covariances, predicted_boxes
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
 from phdtrack.kernels.grid import sorted_along, within
 
 # Degrees of freedom of the errors of boxes, and of a camera's motion.
@@ -56,9 +58,14 @@ MATCHED = 0.7
 # Factor of the density of a t-distribution in four dimensions.
 DENSITY = math.gamma(0.5 * FREEDOM + 2.0) / math.gamma(0.5 * FREEDOM) / (FREEDOM * math.pi) ** 2
 Pairs = tuple[I8, F8, F8, F8]
+# No target is detected more surely.
+MOST_DETECTED = 0.95
+# The motion (4,), its evidence, the sums of q (4,) and of their weights (4,), and of `CommonMotion`
+# the accuracy of boxes (4,) with the pairs behind it (4,).
+Alternative = tuple[F8, float, F8, F8, F8, F8]
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def differences(mean: F8, covariance: F8, noise: F8, z: F8, scale: F8) -> tuple[F8, F8, F8]:
     """(n, 4) predicted centres and log sizes of targets, and the variances of differences from
     them; (N, 4) centres and log sizes of detections.
@@ -202,7 +209,7 @@ def _prior_penalty(motion: float, scale: float) -> float:
     return 0.5 * math.log(abs(scale)) + penalty
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def frame_motion(
     boxes: tuple[F8, F8, F8],
     rule: tuple[F8, float, F8, float, float, float, float],
@@ -254,6 +261,76 @@ def frame_motion(
         new_excess[k] = kept * excess[k] + counts * (squared - error) / (dt * dt)
         new_weight[k] = kept * (FRAMES * counts if first else weight[k]) + counts
     return motion, evidence, new_excess, new_weight, squares
+
+
+@njit(**MERGED)
+def learned_motion(
+    boxes: tuple[F8, F8, F8],
+    rule: tuple[F8, float, F8, float, float, float, float],
+    jumps: bool,
+    sums: tuple[F8, F8],
+    accuracy: tuple[F8, F8],
+    prior: tuple[float, float, float, float],
+) -> Alternative:
+    """The finding of `frame_motion`, and the accuracy of boxes after the frame: ratios of variances
+    (4,), and the pairs behind them (4,).
+
+    ``sums``: ``excess`` and ``weight`` of `frame_motion`; ``accuracy``: the ratios and pairs
+    before; ``prior``: how many pairs the prior counts for, how many are remembered, and the limits
+    of the ratios.
+    """
+    motion, evidence, excess, weight, squares = frame_motion(boxes, rule, jumps, sums[0], sums[1])
+    scale, pairs = accuracy
+    usual, remembered, least, most = prior
+    kept = math.exp(-squares[1, 0] / remembered)
+    new_scale = np.empty(4)
+    new_pairs = np.empty(4)
+    for k in range(4):
+        before = usual + kept * pairs[k]
+        ratio = scale[k] * (before + squares[0, k]) / (before + squares[1, k])
+        new_scale[k] = min(max(ratio, least), most)
+        new_pairs[k] = kept * pairs[k] + squares[1, k]
+    return motion, evidence, excess, weight, new_scale, new_pairs
+
+
+@njit(**ENTRY)
+def motion_of_boxes(
+    targets: tuple[F8, F8],
+    z: F8,
+    dynamics: tuple[Any, ...],
+    sensor: tuple[Noise, float],
+    rule: tuple[float, F8, float, float, float, float],
+    jumps: bool,
+    sums: tuple[F8, F8],
+    accuracy: tuple[F8, F8],
+    prior: tuple[float, float, float, float],
+) -> Alternative:
+    """`learned_motion` of boxes at constant velocity, whose noise scales with the target or is the
+    same for all.
+
+    ``targets``: means (n, 6) and covariances (n, 6, 6) of the frame before, in the pixels of this
+    one. ``z`` (4, N): the measurements. ``dynamics``: `kernels.box.BoxDynamics`. ``sensor``: its
+    noise, and p_D. ``rule``: that of `frame_motion` without p_D.
+    """
+    noise, p_detect = sensor
+    density, frame, dt, jump_penalty, least_share, remembered = rule
+    ahead = predicted_boxes(targets[0], targets[1], dynamics, np.empty(0))
+    n = len(ahead.mean)
+    size = np.empty((2, n))
+    for i in range(n):
+        size[0, i] = ahead.mean[i, 4]
+        size[1, i] = ahead.mean[i, 5]
+    rows = np.empty((z.shape[1], 4))
+    for j in range(len(rows)):
+        for a in range(4):
+            rows[j, a] = z[a, j]
+    boxes = differences(
+        ahead.mean, ahead.covariance, box_covariances(size, noise), rows, accuracy[0]
+    )
+    detected = np.full(n, min(p_detect, MOST_DETECTED))
+    whole = (detected, density, frame, dt, jump_penalty, least_share, remembered)
+    found: Alternative = learned_motion(boxes, whole, jumps, sums, accuracy, prior)
+    return found
 
 
 @njit(**INNER)

@@ -23,15 +23,23 @@ boxes is learned, too, from all pairs: a factor for each component.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from phdtrack.errors import Checked
-from phdtrack.kernels.common_motion import LEAST, differences, frame_motion
+from phdtrack.kernels.common_motion import (
+    LEAST,
+    MOST_DETECTED,
+    differences,
+    learned_motion,
+    motion_of_boxes,
+)
 from phdtrack.models import warp as warp_of
-from phdtrack.models.gaussian import moved
+from phdtrack.models.box import BoxMotion, BoxSensor
+from phdtrack.models.gaussian import carried, moved
 from phdtrack.protocols import CameraEstimator, Model
 from phdtrack.types import F8, STILL, Estimates
 
@@ -49,12 +57,15 @@ SWITCH_EVIDENCE = 10.0
 # Pairs that the prior of the accuracy of boxes counts for, and the number of pairs in memory.
 _PAIRS = 40.0
 _PAIRS_KEPT = 500.0
+# Limits of the ratio of the variances of boxes to the model's.
+_SCALES = (0.01, 10.0)
 # Log-evidence of one frame for or against the given motion, at most, and frames after which it
 # counts for 37 %.
 _MOST = 10.0
 _EVIDENCE_FRAMES = 33.0
 # No camera zooms by more from one frame to the next (logarithm).
 _ZOOM = 4.6
+NO_MOTION: F8 = np.zeros(4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,15 +106,16 @@ def _after(step: F8, base: F8) -> F8:
 
 
 class _Alternative(NamedTuple):
-    """One alternative: the whole ``warp``, its evidence, new sums of q, and sums of squared errors
-    and of pairs (2, 4).
+    """One alternative: the whole ``warp``, its evidence, new sums of q, and the accuracy of boxes
+    with the pairs behind it.
     """
 
     warp: F8
     evidence: float
     excess: F8
     weight: F8
-    squares: F8
+    scale: F8
+    pairs: F8
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +138,10 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
     ) -> tuple[CameraState, F8]:
         """The camera's motion since the last frame, and the state with what was learned from it."""
         fading = math.exp(-dt / (model.rate * VELOCITY_MEMORY))
-        frame = self._frame
-        bases = [similarity(_of_note(fading * dt * state.velocity, frame), frame)]
+        frame = _frame_of(self.frame_size)
+        bases = [STILL]
+        if np.count_nonzero(state.velocity):
+            bases = [similarity(_of_note(fading * dt * state.velocity, frame), frame)]
         if len(given):
             left = similarity(_of_note(-fading * dt * state.left, frame), frame)
             bases.append(_after(left, given))
@@ -144,32 +158,39 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             evidence = math.exp(-1 / _EVIDENCE_FRAMES) * evidence + more
             followed = evidence > (-SWITCH_EVIDENCE if followed else SWITCH_EVIDENCE)
         chosen = alternatives[-1 if followed else 0]
-        kept = math.exp(-chosen.squares[1, 0] / _PAIRS_KEPT) * state.pairs
-        scale = (
-            state.scale * (_PAIRS + kept + chosen.squares[0]) / (_PAIRS + kept + chosen.squares[1])
-        )
         excess = state.excess.copy()
         weight = state.weight.copy()
         for which, one in enumerate(alternatives):
             excess[which] = one.excess
             weight[which] = one.weight
-        scale = np.minimum(np.maximum(scale, 0.01), 10.0)
-        pairs = kept + chosen.squares[1]
-        after = replace(
-            state,
-            excess=excess,
-            weight=weight,
-            scale=scale,
-            pairs=pairs,
-            evidence=evidence,
-            followed=followed,
+        after = CameraState(
+            state.mean,
+            state.covariance,
+            state.velocity,
+            excess,
+            weight,
+            chosen.scale,
+            chosen.pairs,
+            evidence,
+            followed,
+            state.left,
         )
         return self._moved(after, chosen.warp, given, dt, fading), chosen.warp
 
     def with_targets(self, state: CameraState, estimates: Estimates) -> CameraState:
         """The state with the targets of this frame."""
-        mean = np.ascontiguousarray(estimates.state.T)
-        return replace(state, mean=mean, covariance=estimates.covariance)
+        return CameraState(
+            np.ascontiguousarray(estimates.state.T),
+            estimates.covariance,
+            state.velocity,
+            state.excess,
+            state.weight,
+            state.scale,
+            state.pairs,
+            state.evidence,
+            state.followed,
+            state.left,
+        )
 
     def _alternative(
         self, state: CameraState, z: F8, model: Model, base: F8, dt: float, which: int
@@ -178,24 +199,53 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         ``which`` is 1 if that motion was given.
         """
         if len(base) or len(model.warp):
-            model = replace(model, warp=base)
-        _, _, ahead = moved(model, state.mean, state.covariance, dt, "linear")
+            model = model.with_warp(base)
+        frame = _frame_of(self.frame_size)
+        # Of detections, per pixel²
+        density = z.shape[1] / (4 * frame[0] * frame[1])
+        rule = (density, frame, dt, JUMP_PENALTY, LEAST_SHARE, math.exp(-1 / MEMORY))
+        known = (
+            which == 0,
+            (state.excess[which], state.weight[which]),
+            (state.scale, state.pairs),
+            (_PAIRS, _PAIRS_KEPT, *_SCALES),
+        )
+        motion = model.motion
+        sensor = model.sensor
+        if type(motion) is BoxMotion and type(sensor) is BoxSensor and sensor.noise_of_target:
+            found = motion_of_boxes(
+                carried(model, state.mean, state.covariance),
+                z,
+                tuple(motion.dynamics(dt, dt / model.rate)),
+                (sensor.numbers[0], sensor.detection_probability),
+                rule,
+                *known,
+            )
+        else:
+            found = self._found(state, z, model, rule, known)
+        return _Alternative(_after(similarity(found[0], frame), model.warp), *found[1:])
+
+    def _found(
+        self, state: CameraState, z: F8, model: Model, rule: tuple[Any, ...], known: tuple[Any, ...]
+    ) -> tuple[Any, ...]:
+        """The finding of `learned_motion` for any motion and sensor of boxes.
+
+        Parameters
+        ----------
+        state, z, model : as in `_alternative`; the model has the motion that the camera made.
+        rule, known : of `learned_motion`, without p_D; the rest of its arguments.
+        """
+        _, _, ahead = moved(model, state.mean, state.covariance, rule[2], "linear")
         columns = np.ascontiguousarray(ahead.mean.T)
-        frame = self._frame
         noise = model.sensor.target_noise(columns)
         if not len(noise):
             noise = model.sensor.measurement_noise(z).mean(axis=0, keepdims=True)
         boxes = differences(
             ahead.mean, ahead.covariance, noise, np.ascontiguousarray(z[:4].T), state.scale
         )
-        detected = np.minimum(model.sensor.p_detect(columns), 0.95)
-        density = z.shape[1] / (4 * frame[0] * frame[1])
-        kept = math.exp(-1 / MEMORY)
-        rule = (detected, density, frame, dt, JUMP_PENALTY, LEAST_SHARE, kept)
-        motion, *rest = frame_motion(
-            boxes, rule, which == 0, state.excess[which], state.weight[which]
-        )
-        return _Alternative(_after(similarity(motion, frame), model.warp), *rest)
+        detected = np.minimum(model.sensor.p_detect(columns), MOST_DETECTED)
+        found: tuple[Any, ...] = learned_motion(boxes, (detected, *rule), *known)
+        return found
 
     def _moved(
         self, state: CameraState, warp: F8, given: F8, dt: float, fading: float
@@ -203,18 +253,31 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         """The state after the camera moved by ``warp`` in the interval; ``given`` is its given
         motion.
         """
-        velocity = motion_of(warp, self._frame) / dt
+        frame = _frame_of(self.frame_size)
+        velocity = motion_of(warp, frame) / dt if len(warp) else NO_MOTION
         if state.followed or not len(given):
             left = fading * state.left
         else:
-            left = motion_of(given, self._frame) / dt - velocity
-        return replace(state, velocity=velocity, left=left)
+            left = motion_of(given, frame) / dt - velocity
+        return CameraState(
+            state.mean,
+            state.covariance,
+            velocity,
+            state.excess,
+            state.weight,
+            state.scale,
+            state.pairs,
+            state.evidence,
+            state.followed,
+            left,
+        )
 
-    @property
-    def _frame(self) -> F8:
-        """(3,) the middle of the image and half of its width."""
-        width, height = self.frame_size
-        return np.array([width / 2, height / 2, width / 2])
+
+@lru_cache(maxsize=8)
+def _frame_of(size: tuple[float, float]) -> F8:
+    """(3,) the middle of an image of this size and half of its width."""
+    width, height = size
+    return np.array([width / 2, height / 2, width / 2])
 
 
 def _of_note(motion: F8, frame: F8) -> F8:
@@ -232,7 +295,7 @@ def similarity(motion: F8, frame: F8) -> F8:
     motion : (4,) pixels.
     frame : (3,) the middle of the image and half of its width, pixels.
     """
-    if not motion.any():
+    if not np.count_nonzero(motion):
         return STILL
     x, y, half = frame
     zoom = math.exp(min(max(motion[2] / half, -_ZOOM), _ZOOM))

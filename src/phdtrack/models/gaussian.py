@@ -102,10 +102,21 @@ def moved(
     ----------
     model, mean, covariance, dt, transform, factor : as in `predicted`.
     """
-    if len(model.warp):
-        columns, covariance = model.warp_gaussians(np.ascontiguousarray(mean.T), covariance)
-        mean = np.ascontiguousarray(columns.T)
+    mean, covariance = carried(model, mean, covariance)
     return mean, covariance, predicted(model, mean, covariance, dt, transform, factor)
+
+
+def carried(model: Model, mean: F8, covariance: F8) -> tuple[F8, F8]:
+    """Gaussians (J, d), (J, d, d) of the frame before in the pixels of this one.
+
+    Parameters
+    ----------
+    model, mean, covariance : as in `predicted`.
+    """
+    if not len(model.warp):
+        return mean, covariance
+    columns, covariance = model.warp_gaussians(np.ascontiguousarray(mean.T), covariance)
+    return np.ascontiguousarray(columns.T), covariance
 
 
 def predicted_measurements(
