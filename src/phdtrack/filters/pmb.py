@@ -68,7 +68,9 @@ with them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +88,7 @@ from phdtrack.filters.undetected import recycled, still_undetected, survived, wi
 from phdtrack.kernels import Records
 from phdtrack.kernels.appearance import NO_PASTS, Looks, Pasts, plain, remembered
 from phdtrack.kernels.box import apart
-from phdtrack.kernels.gaussian import Births
+from phdtrack.kernels.gaussian import Births, NewTargets
 from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import (
     CERTAIN,
@@ -99,18 +101,28 @@ from phdtrack.kernels.pmb import (
     predicted_layer,
     updated_layer,
 )
-from phdtrack.kernels.pmb_past import TRACE, earlier, scaled
+from phdtrack.kernels.pmb_boxes import stepped_boxes
+from phdtrack.kernels.pmb_past import (
+    best_trace,
+    earlier,
+    first_earlier,
+    reported_boxes,
+    scaled,
+)
 from phdtrack.kernels.verdicts import DOUBTFUL
+from phdtrack.models.box import BoxMotion, BoxSensor
 from phdtrack.models.clutter import ScoredClutter
 from phdtrack.models.gaussian import (
     SAME,
     Transform,
+    carried,
     measurements,
     moved,
     new_targets,
     predicted_measurements,
 )
-from phdtrack.models.pasts import carried, with_looks
+from phdtrack.models.pasts import carried as carried_pasts
+from phdtrack.models.pasts import with_looks
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
@@ -131,6 +143,13 @@ SCORE_MEMORY = 15.0
 # The share of false alarms that are new in each frame, if no stream has shown it.
 ANEW = 0.2
 NOBODY: I8 = np.zeros((0, 2), np.int64)
+NO_NUMBERS: F8 = np.zeros(0)
+
+
+@lru_cache(maxsize=8)
+def _squares(factors: tuple[float, ...]) -> F8:
+    """The squares of the factors, as an array."""
+    return np.square(factors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +183,11 @@ class Bernoullis:
     def __len__(self) -> int:
         """Number of hypotheses."""
         return len(self.present.hypotheses)
+
+    @property
+    def remembers_others(self) -> bool:
+        """True if there are undetected targets as a mixture, or pasts of appearance."""
+        return len(self.undetected) > 0 or len(self.pasts.time) > 0
 
     @property
     def present(self) -> Layer:
@@ -295,7 +319,7 @@ class PMB(Checked, Filter[Bernoullis]):
         if factors == (1.0,):
             factor = SAME
         else:
-            factor = np.square(factors)[now.hypotheses["motion"]]
+            factor = _squares(factors)[now.hypotheses["motion"]]
         mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform, factor)
         now = Layer(now.targets, now.hypotheses, mean, covariance)
         noise = model.sensor.noise(np.ascontiguousarray(mean.T))
@@ -314,6 +338,62 @@ class PMB(Checked, Filter[Bernoullis]):
             state.detections,
             state.hidden,
             state.pasts,
+        )
+
+    def step(
+        self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Bernoullis, UpdateInfo]:
+        """Predict and update; in one compiled call for boxes whose appearance is not known."""
+        motion = model.motion
+        sensor = model.sensor
+        alone = model.appearance is None and not state.remembers_others
+        if not (
+            type(motion) is BoxMotion
+            and type(sensor) is BoxSensor
+            and self.transform == "linear"
+            and alone
+        ):
+            return Filter.step(self, state, z, model, dt, rng)
+        births, hidden = self._births(state, model, z, dt)
+        if len(births.weight):
+            return Filter.step(self, state, z, model, dt, rng)
+        before = state.present
+        mean, covariance = carried(model, before.mean, before.covariance)
+        clutter, scores = self._clutter(model, z, dt)
+        seen = measurements(model.sensor, z, clutter)
+        self._check_noise(len(seen.period))
+        gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
+        seconds = dt / model.rate
+        around = births.around
+        layer, learned, gone, counted = stepped_boxes(
+            (before.targets, before.hypotheses, mean, covariance),
+            (
+                tuple(motion.dynamics(dt, dt / model.rate)),
+                SAME
+                if self.acceleration_factors == (1.0,)
+                else _squares(self.acceleration_factors),
+                *sensor.numbers,
+            ),
+            (
+                *self._changes(seconds),
+                -seconds / MEAN_STANDING_TIME,
+                (self.noise_freedom, math.exp(-1 / self.noise_memory)),
+                (self._prior, math.exp(-1 / SCORE_MEMORY)),
+            ),
+            tuple(seen),
+            (
+                model.sensor.p_detect(z) * around.density,
+                around.mean,
+                around.covariance,
+            ),
+            tuple(scores),
+            tuple(self._settings(gate, model, state.detections, scores.prior < CERTAIN)),
+            (dt, FAST_SHARE, self._turn(dt, model), FAST_SPEED, self.turns_per_second > 0),
+            state.next_label,
+        )
+        layers = (*state.layers[-self.history :], Layer(*layer))
+        return self._updated(
+            (state, layers, state.frame + 1), clutter, (learned, gone, counted), hidden
         )
 
     @property
@@ -367,6 +447,38 @@ class PMB(Checked, Filter[Bernoullis]):
         )
         if len(looks.free):
             pasts = remembered(layer.hypotheses, *appearance)
+        layers = (*state.layers[:-1], layer)
+        after, info = self._updated(
+            (state, layers, state.frame), clutter, (learned, gone, counted), hidden
+        )
+        if len(verdicts):
+            info = replace(info, sure=_sure(now, verdicts))
+        # Recycle deleted targets into the undetected ones: PMB (6)
+        undetected = state.undetected
+        if len(births.weight):
+            undetected = self._undetected(births, model, now, weak)
+        if len(looks.free) or undetected is not state.undetected:
+            after = replace(after, pasts=pasts, undetected=undetected)
+        return after, info
+
+    def _updated(
+        self,
+        before: tuple[Bernoullis, tuple[Layer, ...], int],
+        clutter: F8,
+        found: tuple[tuple[Any, ...], I8, tuple[float, float, float]],
+        hidden: float,
+    ) -> tuple[Bernoullis, UpdateInfo]:
+        """The state and the record after an update.
+
+        Parameters
+        ----------
+        before : the state before it, the layers after it, and the number of the last one.
+        clutter : (N,) κ(z).
+        found : of `updated_layer`, which targets are gone, what was counted, and the rest.
+        hidden : `Bernoullis.hidden` after it.
+        """
+        state, layers, frame = before
+        learned, gone, counted = found
         predicted, born, mass, evidence, false_alarm, vanished, detected = learned
         info = UpdateInfo(
             predicted,
@@ -376,25 +488,23 @@ class PMB(Checked, Filter[Bernoullis]):
             clutter,
             false_alarm,
             vanished,
-            detected=detected,
-            sure=_sure(now, verdicts),
+            NO_NUMBERS,
+            detected,
+            NOBODY,
         )
+        targets = layers[-1].targets
         next_label = state.next_label
-        if len(layer.targets):
-            next_label = max(next_label, int(layer.targets[-1]["label"]) + 1)
-        # Recycle deleted targets into the undetected ones: PMB (6)
-        undetected = state.undetected
-        if len(births.weight):
-            undetected = self._undetected(births, model, now, weak)
+        if len(targets):
+            next_label = max(next_label, int(targets["label"][-1]) + 1)
         after = Bernoullis(
-            (*state.layers[:-1], layer),
-            self._with_ended(state, gone),
+            layers,
+            self._with_ended(state.ended, frame, gone),
             next_label,
-            undetected,
-            state.frame,
+            state.undetected,
+            frame,
             self._remembered(state.detections, counted),
             hidden,
-            pasts,
+            state.pasts,
         )
         return after, info
 
@@ -410,8 +520,9 @@ class PMB(Checked, Filter[Bernoullis]):
         seconds = model.birth_seconds(dt)
         hidden = state.hidden * model.survival(dt)
         visible = (1 - occluded) * seconds + reappear * hidden
-        density = births.around.density * (visible / max(seconds, TINY))
-        births = births._replace(around=births.around._replace(density=density))
+        density, mean, covariance = births.around
+        density = density * (visible / max(seconds, TINY))
+        births = Births(NewTargets(density, mean, covariance), *births[1:])
         return births, occluded * seconds + (1 - reappear) * hidden
 
     def _learned(self, counted: tuple[float, float, float]) -> float:
@@ -447,7 +558,7 @@ class PMB(Checked, Filter[Bernoullis]):
         if isinstance(clutter, ScoredClutter):
             anew = clutter.anew
             intensity = clutter.without_scores(z)
-            lasting = bool(clutter.log_odds.any())
+            lasting = np.count_nonzero(clutter.log_odds) > 0
             scores = Scores(clutter.odds, clutter.log_odds, self._prior if lasting else CERTAIN)
         else:
             intensity = clutter.intensity(z)
@@ -509,19 +620,22 @@ class PMB(Checked, Filter[Bernoullis]):
         if self.turns_per_second and self.transform == "linear":
             columns = np.ascontiguousarray(now.mean.T)
             speed = np.ascontiguousarray(model.sensor.noise(columns)[2:4].T)
-            turn = -math.expm1(-self.turns_per_second * dt / model.rate)
+            turn = self._turn(dt, model)
         return Jumps(dt, FAST_SHARE, turn, speed, FAST_SPEED)
 
-    def _with_ended(self, state: Bernoullis, gone: I8) -> I8:
-        """`Bernoullis.ended` with the hypotheses of targets that are deleted now, and without those
-        that are too long ago.
+    def _turn(self, dt: float, model: Model) -> float:
+        """The probability that the velocity of a target is new after the interval ``dt``."""
+        return -math.expm1(-self.turns_per_second * dt / model.rate)
+
+    def _with_ended(self, ended: I8, frame: int, gone: I8) -> I8:
+        """`Bernoullis.ended` of a frame with the hypotheses of targets that are deleted now, and
+        without those that are too long ago.
         """
-        ended = state.ended
         # The oldest come first.
-        if len(ended) and state.frame - ended[0, 0] > self.history:
-            ended = ended[state.frame - ended[:, 0] <= self.history]
+        if len(ended) and frame - ended[0, 0] > self.history:
+            ended = ended[frame - ended[:, 0] <= self.history]
         if len(gone):
-            fresh = np.stack([np.full(len(gone), state.frame - 1), gone], axis=1)
+            fresh = np.stack([np.full(len(gone), frame - 1), gone], axis=1)
             ended = np.vstack([ended, fresh])
         return ended
 
@@ -565,36 +679,55 @@ class BestBernoullis(Checked):
         """
         layers = state.layers
         frames = list[Estimates | None]()
-        present = now = _best(layers[-1])
-        before = _best(layers[-2]) if len(layers) > 1 else now
+        if len(layers) == 1:
+            return self._reported(state, best_trace(layers[0].targets), model, ())
+        present, now, before, same = first_earlier(
+            layers[-1][:2], layers[-2][:2], (state.ended, state.frame - 1), self.min_weight
+        )
         for back in range(1, len(layers)):
             after = layers[-back]
             then = layers[-back - 1]
-            past = (state.ended, state.frame - back)
-            now, before, same = earlier(
-                now,
-                before,
-                after.hypotheses,
-                then.targets,
-                then.hypotheses,
-                past,
-                back == 1,
-                self.min_weight,
-            )
+            if back > 1:
+                past = (state.ended, state.frame - back)
+                now, before, same = earlier(
+                    now,
+                    before,
+                    after.hypotheses,
+                    then.targets,
+                    then.hypotheses,
+                    past,
+                    False,
+                    self.min_weight,
+                )
             if same:
                 break
             frames.append(self._estimates(then, now, model))
         unchanged = (None,) * (len(layers) - 1 - len(frames))
         revised = (*unchanged, *reversed(frames))
-        estimates = self._estimates(layers[-1], present, model, revised)
+        return self._reported(state, present, model, revised)
+
+    def _reported(
+        self,
+        state: Bernoullis,
+        trace: Records,
+        model: Model,
+        past: tuple[Estimates | None, ...],
+    ) -> Estimates:
+        """The targets of the present with what their pasts look like."""
+        estimates = self._estimates(state.present, trace, model, past)
         if model.appearance is None or not len(state.pasts.time):
             return estimates
-        return _with_looks(estimates, layers[-1], state.pasts)
+        return _with_looks(estimates, state.present, state.pasts)
 
     def _estimates(
         self, layer: Layer, trace: Records, model: Model, past: tuple[Estimates | None, ...] = ()
     ) -> Estimates:
         """The targets of enough presence, without those that overlap one followed for longer."""
+        if type(model.sensor) is BoxSensor:
+            state, covariance, weight, boxes, detection, label = reported_boxes(
+                tuple(layer), trace, self.min_weight, self.merge_iou
+            )
+            return Estimates(state, covariance, weight, boxes, detection, label, past)
         target = np.flatnonzero((trace["place"] >= 0) & (trace["presence"] >= self.min_weight))
         at = trace["place"][target]
         mean = np.ascontiguousarray(layer.mean[at].T)
@@ -617,7 +750,7 @@ class BestBernoullis(Checked):
 def _with_pasts(now: Layer, pasts: Pasts, looks: Looks | None) -> tuple[Layer, Pasts, Looks]:
     """The targets, their pasts, and what a frame looks like, as of `carried`."""
     before = now.hypotheses["past"]
-    past, pasts, looks = carried(before, pasts, looks)
+    past, pasts, looks = carried_pasts(before, pasts, looks)
     if past is before:
         return now, pasts, looks
     hypotheses = now.hypotheses.copy()
@@ -639,14 +772,6 @@ def _with_looks(estimates: Estimates, layer: Layer, pasts: Pasts) -> Estimates:
     label = layer.targets["label"]
     best = layer.targets["best"][label.searchsorted(estimates.tag)]
     return with_looks(estimates, layer.hypotheses["past"][best], pasts, label)
-
-
-def _best(layer: Layer) -> Records:
-    """The best hypothesis and the presence of each target."""
-    trace = np.empty(len(layer.targets), TRACE)
-    trace["place"] = layer.targets["best"]
-    trace["presence"] = layer.targets["presence"]
-    return trace
 
 
 def without_overlaps(boxes: F8, merge_iou: float) -> I8:

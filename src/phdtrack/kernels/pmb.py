@@ -31,7 +31,7 @@ from phdtrack.kernels import F8, I8, Bool, Records
 from phdtrack.kernels.appearance import Looks, Pasts, named, pair_ratios
 from phdtrack.kernels.association import EDGE, beliefs
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.fast32 import INNER, MERGED
 from phdtrack.kernels.gaussian import (
     PAIR,
     Expected,
@@ -130,7 +130,7 @@ class Settings(NamedTuple):
     motions: int
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def predicted_layer(
     layer: Layer,
     p: Predicted,
@@ -233,7 +233,7 @@ def _depart(target: Any, hypotheses: Records, stand: float) -> None:
             h.weight += moves * h.weight / moving
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def updated_layer(
     layer: Layer,
     e: Expected,

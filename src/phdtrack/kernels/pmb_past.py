@@ -12,8 +12,9 @@ import math
 import numpy as np
 
 from phdtrack.kernels import F8, I8, Records
+from phdtrack.kernels.box import apart
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
 from phdtrack.kernels.gaussian import records
 
 # Of each target of a frame: the hypothesis that leads to the one that is best today, −1 for none;
@@ -46,7 +47,7 @@ def followed_back(
     return out
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def earlier(
     now: Records,
     before: Records,
@@ -84,7 +85,99 @@ def earlier(
     return now, before, True
 
 
+@njit(**MERGED)
+def best_trace(targets: Records) -> Records:
+    """The best hypothesis of each target of the present, and its presence."""
+    trace = np.empty(targets.size, TRACE)
+    for t in range(targets.size):
+        trace[t].place = targets[t].best
+        trace[t].presence = targets[t].presence
+    return trace
+
+
 @njit(**ENTRY)
+def first_earlier(
+    newest: tuple[Records, Records],
+    then: tuple[Records, Records],
+    past: tuple[I8, int],
+    min_weight: float,
+) -> tuple[Records, Records, Records, bool]:
+    """The trace of the present, and what `earlier` gives of the frame before it; targets and
+    hypotheses of both frames are given.
+    """
+    present = best_trace(newest[0])
+    before = best_trace(then[0])
+    now, before, same = earlier(
+        present, before, newest[1], then[0], then[1], past, True, min_weight
+    )
+    return present, now, before, same
+
+
+@njit(**INNER)
+def _boxes_of(trace: Records, target: I8, mean: F8) -> tuple[F8, I8]:
+    """(n, 4) the boxes of some targets, and (n,) their order by left sides."""
+    n = target.size
+    boxes = np.empty((n, 4))
+    order = np.empty(n, np.int64)
+    for k in range(n):
+        c = trace[target[k]].place
+        for a in range(2):
+            half = 0.5 * mean[c, 4 + a]
+            boxes[k, a] = mean[c, a] - half
+            boxes[k, 2 + a] = mean[c, a] + half
+        q = k
+        while q > 0 and boxes[order[q - 1], 0] > boxes[k, 0]:
+            order[q] = order[q - 1]
+            q -= 1
+        order[q] = k
+    return boxes, order
+
+
+@njit(**ENTRY)
+def reported_boxes(
+    layer: tuple[Records, Records, F8, F8], trace: Records, min_weight: float, overlap: float
+) -> tuple[F8, F8, F8, F8, I8, I8]:
+    """The boxes that are reported of a frame: means (d, n), covariances (n, d, d) with the noises
+    of each, weights (n,), boxes (n, 4), measurements (n,) and labels (n,).
+
+    ``trace``: the hypothesis of each target, and its presence. Targets of less presence than
+    ``min_weight`` are left out, and those that overlap one before them by more than ``overlap``
+    (IoU); 1: none is.
+    """
+    targets, hypotheses, mean, covariance = layer
+    d = mean.shape[1]
+    target = np.empty(trace.size, np.int64)
+    n = 0 * trace.size
+    for t in range(trace.size):
+        if trace[t].place >= 0 and trace[t].presence >= min_weight:
+            target[n] = t
+            n += 1
+    boxes, order = _boxes_of(trace, target[:n], mean)
+    if overlap < 1.0 and n > 1:
+        left = apart(boxes, order, overlap)
+        if left.size < n:
+            n = left.size
+            for k in range(n):
+                target[k] = target[left[k]]
+                for a in range(4):
+                    boxes[k, a] = boxes[left[k], a]
+    at = np.empty(n, np.int64)
+    out = np.empty((d, n))
+    weight = np.empty(n)
+    detection = np.empty(n, np.int64)
+    label = np.empty(n, np.int64)
+    for k in range(n):
+        t = target[k]
+        at[k] = trace[t].place
+        weight[k] = trace[t].presence
+        label[k] = targets[t].label
+        detection[k] = hypotheses[at[k]].detection
+        for a in range(d):
+            out[a, k] = mean[at[k], a]
+    return out, scaled(covariance, hypotheses, at), weight, boxes[:n].copy(), detection, label
+
+
+@njit(**MERGED)
 def scaled(covariance: F8, hypotheses: Records, at: I8) -> F8:
     """(n, d, d) covariances of the hypotheses ``at`` (n,), with the noises that they have; sizes
     come last in a state.

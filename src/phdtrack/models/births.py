@@ -27,7 +27,7 @@ from phdtrack.models.volumes import (
     image_volume,
     inside,
     local_area,
-    local_volume,
+    local_density,
 )
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, GaussianMixture, Particles
@@ -127,10 +127,16 @@ def births_around(
     d = len(mean)
     around = NewTargets(density, np.ascontiguousarray(mean.T), covariance)
     if fixed is None:
-        return Births(around, np.zeros(0), np.zeros((0, d)), np.zeros((0, d, d)))
+        return Births(around, *_no_gaussians(d))
     fixed_mean = np.ascontiguousarray(fixed.mean.T)
     fixed_covariance = np.ascontiguousarray(fixed.covariance)
     return Births(around, fixed.weight * seconds, fixed_mean, fixed_covariance)
+
+
+@lru_cache(maxsize=8)
+def _no_gaussians(d: int) -> tuple[F8, F8, F8]:
+    """Weights, means and covariances of no Gaussians of dimension ``d``."""
+    return np.zeros(0), np.zeros((0, d)), np.zeros((0, d, d))
 
 
 @lru_cache(maxsize=8)
@@ -218,7 +224,7 @@ class MeasurementBirth(_AroundDetections):
         z : (m, N) measurements.
         """
         if self.births_per_detection:
-            return self.births_per_detection / local_volume(z)
+            return local_density(z, self.births_per_detection)
         flat = self.births_per_second / (self.volume or image_volume(self.frame_size))
         return np.where((z[2:4] > 0).all(axis=0), flat, 0.0)
 

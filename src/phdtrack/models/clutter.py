@@ -13,7 +13,7 @@ from phdtrack.models.volumes import (
     area,
     image_volume,
     local_area,
-    local_volume,
+    local_density,
 )
 from phdtrack.protocols import Clutter
 from phdtrack.types import F8
@@ -72,7 +72,7 @@ class BoxClutter:
             return np.full(
                 z.shape[1], self.clutter_per_frame / (self.volume or image_volume(self.frame_size))
             )
-        return self.clutter_per_detection / local_volume(z)
+        return local_density(z, self.clutter_per_detection)
 
 
 @dataclass(frozen=True, slots=True)

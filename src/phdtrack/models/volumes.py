@@ -23,6 +23,7 @@ import math
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.kernels.box import local_densities
 from phdtrack.types import F8, Bool
 
 # Half the extent of a local volume in position, in boxes; its range of sizes, in boxes.
@@ -50,6 +51,14 @@ def local_volume(z: F8) -> F8:
     """(N,) volume of the neighbourhood of each measurement z = (px, py, w, h), pixel⁴."""
     area: F8 = z[2] * z[3]
     return (2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2 * area**2
+
+
+def local_density(z: F8, rate: float) -> F8:
+    """(N,) the density at each measurement z = (px, py, w, h) of boxes of which ``rate`` are
+    expected in its neighbourhood, pixel⁻⁴.
+    """
+    factor = (2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2
+    return np.asarray(local_densities(np.ascontiguousarray(z), float(rate), factor))
 
 
 PLANE_REACH = 6.0
