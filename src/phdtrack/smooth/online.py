@@ -15,11 +15,11 @@ for the stream count less. It begins at `PRIOR` and forgets what is old.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from phdtrack.kernels.box import agreement, between
+from phdtrack.kernels.box import share_of, shown_between
 from phdtrack.types import F8, I8, Detections, Tracks
 
 # The share before anything is seen, as if from so many sides of boxes; the most that it may be:
@@ -29,6 +29,7 @@ PRIOR_WEIGHT = 50.0
 MOST = 1.5
 # Sides of boxes that are remembered.
 KEPT = 3000.0
+_PRIOR = (PRIOR, PRIOR_WEIGHT, MOST)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +64,7 @@ class ShareState:
     @property
     def share(self) -> tuple[float, float]:
         """a of centres and of sizes."""
-        return _share(self.sums)
+        return share_of(self.sums, 0, _PRIOR), share_of(self.sums, 1, _PRIOR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +89,7 @@ class DetectionShare:
         waiting = tuple(frame for frame in state.waiting if frame[0] >= oldest)
         if len(detections):
             waiting = (*waiting, (number, time, detections.row, detections.xyxy))
-        return self.shown(replace(state, waiting=waiting), tracks)
+        return self.shown(ShareState(waiting, state.last, state.sums), tracks)
 
     def shown(self, state: ShareState, tracks: Tracks) -> tuple[ShareState, Tracks]:
         """The state after these rows, all of frames that it waits for, and the rows with the boxes
@@ -100,36 +101,25 @@ class DetectionShare:
         sums = state.sums
         xyxy = tracks.xyxy.copy()
         until = int(tracks.frame[-1])
-        detected = tracks.detection >= 0
+        rows = (tracks.frame, tracks.identity, tracks.detection, xyxy)
         for number, time, row, boxes in state.waiting:
-            rows = np.flatnonzero(detected & (tracks.frame == number))
-            if number <= until and len(rows):
-                seen = boxes[np.searchsorted(row, tracks.detection[rows])]
-                now = Shown(time, tracks.identity[rows], seen, xyxy[rows])
-                sums = _learned(sums, *last, now)
-                last = (last[1], now)
-                xyxy[rows] = between(now.seen, now.filtered, *_share(sums))
+            if number > until:
+                continue
+            first, second = last
+            ratio = 0.0
+            if len(first.identity):
+                ratio = (second.time - first.time) / (time - second.time)
+            sums, *shown = shown_between(
+                rows,
+                (number, row, boxes),
+                (first.identity, first.seen, first.filtered),
+                (second.identity, second.seen),
+                ratio,
+                KEPT,
+                sums,
+                _PRIOR,
+            )
+            if len(shown[0]):
+                last = (second, Shown(time, *shown))
         waiting = tuple(frame for frame in state.waiting if frame[0] > until)
-        return ShareState(waiting, last, sums), replace(tracks, xyxy=xyxy)
-
-
-def _share(sums: F8) -> tuple[float, float]:
-    """a of centres and of sizes."""
-    out = []
-    for product, square, count, _ in sums.tolist():
-        slope = product / max(square, 1e-12)
-        out.append(
-            min(max((count * slope + PRIOR_WEIGHT * PRIOR) / (count + PRIOR_WEIGHT), 0.0), MOST)
-        )
-    return out[0], out[1]
-
-
-def _learned(sums: F8, first: Shown, second: Shown, now: Shown) -> F8:
-    """The sums with what a further frame says of the rows two frames ago."""
-    if len(first.identity) == 0:
-        return sums
-    ratio = (second.time - first.time) / (now.time - second.time)
-    kept = max(1 - 2 * len(now.identity) / KEPT, 0.0)
-    then = (first.identity, first.seen, first.filtered)
-    between = (second.identity, second.seen)
-    return np.asarray(agreement(then, between, (now.identity, now.seen), ratio, kept, sums))
+        return ShareState(waiting, last, sums), tracks.with_boxes(xyxy)
