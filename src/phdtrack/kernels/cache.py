@@ -29,7 +29,8 @@ from numba.core import event
 _LOG = logging.getLogger(__name__)
 _COMPILING = (
     "phdtrack compiles its kernels (ten seconds or more, once on this machine: they are kept for"
-    " the next runs) ..."
+    " the next runs; `phdtrack warm-up`, or warm_up() of a Tracker, does so before the first"
+    " frame) ..."
 )
 _ALWAYS_COMPILING = (
     "phdtrack compiles its kernels (ten seconds or more, and so in every run: neither the"
