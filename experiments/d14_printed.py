@@ -106,12 +106,13 @@ def claims(results: Results, numbers: Sequence[int], seeds: int) -> list[Claim]:
     def mine(name: str, number: int, variance: float) -> F8:
         return squares(results, name, number, variance, seeds)
 
+    def detected(name: str, number: int, variance: float) -> F8:
+        return to_z(results, name, number, variance, seeds)
+
     out = []
     for form, chain in ((WORDS, MCMC), (MENDED, SAMPLER)):
         out.append(_order("the truth", form, numbers, mine, chain))
-    out.append(
-        _order("the detections", WORDS, numbers, lambda *of: to_z(results, *of, seeds), MCMC)
-    )
+    out.append(_order("the detections", WORDS, numbers, detected, MCMC))
     for form, chain in ((WORDS, MCMC), (MENDED, SAMPLER)):
         out.append(_saturates(form, numbers, mine, chain))
     out.append(_falls(numbers, mine))

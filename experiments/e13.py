@@ -201,7 +201,8 @@ def work(job: CrowdRun) -> CrowdCounts:
         for mixture, step in run(job)
     ]
     columns = np.array(rows, dtype=np.float64).T
-    return CrowdCounts(*columns[:4], columns[4:])
+    mass, rounded, states, raw = columns[:4]
+    return CrowdCounts(mass, rounded, states, raw, columns[4:])
 
 
 def true_groups() -> tuple[F8, dict[int, Groups], dict[int, GaussianMixture]]:
