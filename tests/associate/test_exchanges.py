@@ -10,19 +10,20 @@ import pytest
 
 from appearance_cases import DARK, FPS, FRAMES, HIDDEN, LOOKS, SIZE, D, meeting, tracker_of
 from phdtrack import Tracker
+from phdtrack.associate import reidentification
 from phdtrack.associate.reidentification import (
     EXCHANGED,
     EXCHANGED_WITH_LOST,
     Names,
     Returns,
+    Shown,
     exchanged,
-    exchanges,
     given_back,
 )
 from phdtrack.kernels.appearance import UNKNOWN, Looks, likeness, plain
-from phdtrack.kernels.identities import LABELS, exchange_odds, met_after, nobody
+from phdtrack.kernels.identities import LABELS, Rules, exchange_odds, met_after, nobody
 from phdtrack.state import from_bytes, to_bytes
-from phdtrack.types import Tracks
+from phdtrack.types import F8, Exchange, Tracks
 from tracker_cases import equal
 
 
@@ -158,6 +159,23 @@ def looks_of(time: float = 9.0) -> Looks:
     return Looks(none, none, np.zeros(D, np.float32), np.zeros(0), law, time, 3.0)
 
 
+def rules_of(*prior: float) -> tuple[float, ...]:
+    """`Rules` with log odds before anything is known."""
+    return tuple(Rules(10.0, 0.7, 0.25, 5.0, *prior, 1.5, 3, 3.0))
+
+
+def odds_of(state: Returns, *prior: float) -> F8:
+    """(M,) the log odds of exchanges of the pairs that have met."""
+    return exchange_odds(tuple(state.seen), state.met, plain(looks_of()), rules_of(*prior))
+
+
+def exchanges(state: Returns, frame: int, names: Names) -> list[Exchange]:
+    """The exchanges of a frame that has shown all that is known."""
+    odds = odds_of(state, EXCHANGED, EXCHANGED_WITH_LOST)
+    shown = Shown(state.met[odds > 0], odds[odds > 0], 0, 0)
+    return reidentification.exchanges(state, shown, frame, names)
+
+
 NAMES = Names(np.array([3, 5, 7]), np.array([11, 12, 13]))
 
 
@@ -179,14 +197,14 @@ def test_odds_are_those_of_the_four_likelihoods(rng: np.random.Generator):
         ]
     )
     for prior in ((30.0, 20.0), (EXCHANGED, EXCHANGED_WITH_LOST)):
-        odds = exchange_odds(tuple(state.seen), state.met, plain(looks_of()), prior, 1.5)
+        odds = odds_of(state, *prior)
         expected = ratios + np.array([prior[0], prior[1], prior[1]])
         possible = np.isfinite(odds)
         np.testing.assert_allclose(odds[possible], expected[possible], rtol=1e-6)
         assert (expected[~possible] <= 0).all()
         assert possible.all() == (prior[0] > 0)
     unseen = state.seen._replace(lately_number=np.array([2.0, 1.0, 2.0]))
-    odds = exchange_odds(tuple(unseen), state.met, plain(looks_of()), (30.0, 30.0), 1.5)
+    odds = odds_of(replace(state, seen=unseen), 30.0, 30.0)
     assert np.isneginf(odds).tolist() == [True, False, True]
 
 
@@ -197,7 +215,7 @@ def test_a_target_takes_the_identity_of_a_lost_one():
     own = np.eye(3, D)
     lately = own[[1, 1, 2]]
     state = state_of(own, lately, [True, False, True])
-    (found,) = exchanges(state, looks_of(), 77, NAMES)
+    (found,) = exchanges(state, 77, NAMES)
     assert found.labels == (3, 5)
     assert found.identities == (11, 105)
     assert found.frame == 77
@@ -205,7 +223,7 @@ def test_a_target_takes_the_identity_of_a_lost_one():
     np.testing.assert_array_equal(state.seen.mean, own[[1, 0, 2]])
     assert state.seen.identity.tolist() == [0, 11, 0]
     assert state.exchanges == (found,)
-    assert exchanges(state, looks_of(), 78, NAMES) == []
+    assert exchanges(state, 78, NAMES) == []
     # Somebody who looks like the first one then has that one's identity.
     seen = state.seen._replace(
         first=np.array([0.0, 0, 8.9]), mean=own[[1, 0, 0]], detections=np.array([90, 90, 5])
@@ -221,10 +239,10 @@ def test_pairs_of_somebody_forgotten_do_nothing():
     state = state_of(own, own[[1, 0, 2]], [True, True, True])
     for gone in (0, 1, 2):
         left = replace(state, seen=state.seen.select(np.arange(3) != gone))
-        found = exchanges(left, looks_of(), 5, NAMES)
+        found = exchanges(left, 5, NAMES)
         assert [each.labels for each in found] == ([(3, 5)] if gone == 2 else [])
     nobody_left = replace(state, seen=nobody(D))
-    assert exchanges(nobody_left, looks_of(), 5, NAMES) == []
+    assert exchanges(nobody_left, 5, NAMES) == []
 
 
 def test_three_exchange_in_turn():
@@ -233,7 +251,7 @@ def test_three_exchange_in_turn():
     state = state_of(own, own[[1, 2, 0]], [True, True, True])
     names = NAMES
     for k in range(2):
-        found = exchanges(state, looks_of(), k, names)
+        found = exchanges(state, k, names)
         assert len(found) == 1
         identity = names.identity.copy()
         at = np.searchsorted(names.label, found[0].labels)
@@ -241,4 +259,4 @@ def test_three_exchange_in_turn():
         names = Names(names.label, identity)
         state = exchanged(state, found)
     assert names.identity.tolist() == [12, 13, 11]
-    assert exchanges(state, looks_of(), 3, names) == []
+    assert exchanges(state, 3, names) == []

@@ -375,7 +375,7 @@ def after(state: Returns, labels: list[int], views: np.ndarray, frame: int, time
     """
     looks = looks_at(time, views)
     n = len(labels)
-    state = remembering(
+    state, _ = remembering(
         state, estimates(labels, views), np.arange(n), frame, looks, np.ones(n, np.bool_)
     )
     known = np.arange(max(labels, default=0) + 1)
@@ -450,7 +450,7 @@ def test_targets_of_another_descriptor_are_forgotten():
     assert len(state.seen.label) == 2
     state = replace(state, met=np.array([1]), when=np.array([0.0]))
     other = looks_at(1.0)._replace(raw=np.zeros((0, 3), np.float32), mean=np.zeros(3, np.float32))
-    state = remembering(
+    state, _ = remembering(
         state, Estimates.empty(6), np.zeros(0, int), 2, other, np.zeros(0, np.bool_)
     )
     assert given_back_by(state, other) == []

@@ -10,15 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inner_kernels import from_python
 from phdtrack.kernels.appearance import (
     Law,
     Looks,
     Pasts,
     free_parts,
     likeness,
-    pair_ratios,
     plain,
+    ratios_of_pairs,
     remembered,
     typical_ratios,
 )
@@ -28,7 +27,6 @@ from phdtrack.kernels.pmb import HYPOTHESIS
 from phdtrack.models.appearance import LEAST_FREE, PAUSE, SPANS, nobody
 from reference import appearance_twin as twin
 
-(ratios_of,) = from_python(pair_ratios)
 SEEDS = st.integers(0, 2**32 - 1)
 LENGTHS = st.sampled_from([1, 2, 5, 32])
 
@@ -136,7 +134,8 @@ def test_pair_ratios_are_their_definition(seed: int, targets: int, pasts: int, n
     for q, (c, j) in enumerate(each):
         pairs[q]["gaussian"] = c
         pairs[q]["measurement"] = j
-    found = ratios_of(pairs, hypotheses, as_arrays(known, size, looks.memory), looks)
+    before = tuple(as_arrays(known, size, looks.memory))
+    found = ratios_of_pairs(pairs, hypotheses, before, plain(looks))
     if not pasts:
         assert found.shape == (0,)
         return
@@ -150,13 +149,14 @@ def test_pair_ratios_are_their_definition(seed: int, targets: int, pasts: int, n
 def test_pairs_have_no_ratio_before_lessons(rng: np.random.Generator):
     looks = a_frame(rng, 3, 4)
     looks = looks._replace(law=looks.law._replace(weight=0.0))
-    pasts = as_arrays(some_pasts(rng, 2, 4, looks), 4, looks.memory)
-    assert ratios_of(np.zeros(2, PAIR), np.zeros(2, HYPOTHESIS), pasts, looks).shape == (0,)
+    pasts = tuple(as_arrays(some_pasts(rng, 2, 4, looks), 4, looks.memory))
+    hypotheses = np.zeros(2, HYPOTHESIS)
+    assert ratios_of_pairs(np.zeros(2, PAIR), hypotheses, pasts, plain(looks)).shape == (0,)
 
 
 @settings(max_examples=30)
 @given(SEEDS, st.integers(0, 5), st.integers(0, 6), st.integers(1, 5), LENGTHS)
-def test_pasts_after_a_frame_are_as_defined(seed: int, targets: int, pasts: int, n: int, size: int):
+def test_beforeafter_a_frame_are_as_defined(seed: int, targets: int, pasts: int, n: int, size: int):
     """Each hypothesis has its own past, and those that saw the same share one."""
     rng = np.random.default_rng(seed)
     looks = a_frame(rng, n, size)

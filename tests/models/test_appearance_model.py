@@ -8,10 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from inner_kernels import from_python
 from phdtrack.kernels.appearance import likeness, plain
+from phdtrack.kernels.appearance_law import worth
 from phdtrack.models.appearance import PAUSE, Appearance, AppearanceSeen
 from phdtrack.types import F8, Detections
 
+(worth_of,) = from_python(worth)
 D = 24
 RULE = Appearance()
 
@@ -83,13 +86,11 @@ def test_the_worth_grows_with_lessons(rng: np.random.Generator):
 
 def test_a_difference_within_its_error_is_worth_nothing():
     """What is left of the squared difference without its variance, and 0 below that."""
-    rule = replace(RULE, prior_lessons=0.0)
-    for difference, worth in ((-0.1, 0.0), (0.1, 0.0), (0.2, 0.5), (0.4, 0.875), (2.0, 0.995)):
+    for difference, expected in ((-0.1, 0.0), (0.1, 0.0), (0.2, 0.5), (0.4, 0.875), (2.0, 0.995)):
         # Five lessons count as one: 5 · (0.1/50 + 0.1/50) is 0.02.
-        found = rule.worth((50.0, difference, 0.1), (50.0, 0.0, 0.1))
-        assert found == pytest.approx(worth, abs=1e-9)
-    half = replace(RULE, prior_lessons=50.0)
-    assert half.worth((50.0, 2.0, 0.1), (80.0, 0.0, 0.0)) == pytest.approx(0.5, abs=2e-3)
+        found = worth_of((50.0, difference, 0.1), (50.0, 0.0, 0.1), 0.0)
+        assert found == pytest.approx(expected, abs=1e-9)
+    assert worth_of((50.0, 2.0, 0.1), (80.0, 0.0, 0.0), 50.0) == pytest.approx(0.5, abs=2e-3)
 
 
 def test_one_object_alone_teaches_nothing(rng: np.random.Generator):

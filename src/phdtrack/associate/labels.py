@@ -285,7 +285,15 @@ class Labelled(Checked):
         returns, change = reidentified(
             state.returns, estimates, now.rows, now.number, looks, sure, names
         )
-        state = replace(state, returns=returns)
+        state = LabelledState(
+            state.history,
+            state.recent,
+            state.table,
+            state.time,
+            state.used,
+            state.followed,
+            returns,
+        )
         if not change:
             return state, present
         label = np.array(sorted(change))

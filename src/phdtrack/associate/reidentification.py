@@ -15,20 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels.appearance import Looks, free_parts, likeness, plain
-from phdtrack.kernels.identities import (
-    LABELS,
-    Present,
-    Seen,
-    exchange_odds,
-    met_after,
-    nobody,
-    seen_after,
-)
+from phdtrack.kernels.appearance import Looks, likeness, plain
+from phdtrack.kernels.identities import LABELS, Seen, identities_after, nobody
 from phdtrack.models.returns import log_odds
 from phdtrack.types import F8, I8, Bool, Estimates, Exchange, Return
 
@@ -55,6 +47,16 @@ EXCHANGED = -4.5
 EXCHANGED_WITH_LOST = -6.0
 # Independent descriptors of how a target looks just now that this needs.
 LEAST_LATELY = 1.5
+# `Rules`, but for the first two.
+RULES = (
+    LARGER,
+    DOUBT,
+    EXCHANGED,
+    EXCHANGED_WITH_LOST,
+    LEAST_LATELY,
+    LEAST_SEEN,
+    UNDECIDED,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,18 +110,35 @@ def reidentified(
     estimates, rows, frame, looks, confirmed : as of `remembering`.
     names : the identities of all labels until now.
     """
-    seen = remembering(state, estimates, rows, frame, looks, confirmed)
-    seen = forgetting(named(seen, names), looks.law.within)
-    swapped = exchanges(seen, looks, frame, names)
-    seen = exchanged(seen, swapped)
-    pairs = given_back(seen, looks)
+    state, shown = remembering(state, estimates, rows, frame, looks, confirmed)
+    if shown.gone or len(state.lost.label):
+        state = forgetting(named(state, names), looks.law.within)
     change = dict[int, int]()
+    if not (shown.undecided or len(shown.pair)):
+        return state, change
+    swapped = exchanges(state, shown, frame, names)
+    state = exchanged(state, swapped)
+    pairs = given_back(state, looks) if shown.undecided else []
     for each in swapped:
         change |= zip(each.labels, each.identities[::-1], strict=True)
     for pair in pairs:
         # Should the filter report it again, it is another one.
         change |= {pair.earlier: 0, pair.later: pair.identity}
-    return taken(seen, pairs), change
+    return taken(state, pairs), change
+
+
+class Shown(NamedTuple):
+    """What a frame has shown of identities.
+
+    ``pair``, ``odds`` (n,): the pairs of targets that probably have exchanged theirs, as of
+    `kernels.identities.met_after`, and the log odds of that. ``undecided``: how many targets may be
+    lost ones. ``gone``: how many that are remembered are followed no more.
+    """
+
+    pair: I8
+    odds: F8
+    undecided: int
+    gone: int
 
 
 def remembering(
@@ -129,8 +148,8 @@ def remembering(
     frame: int,
     looks: Looks,
     confirmed: Bool,
-) -> Returns:
-    """The state after a frame.
+) -> tuple[Returns, Shown]:
+    """The state after a frame, and what that has shown.
 
     Parameters
     ----------
@@ -146,65 +165,52 @@ def remembering(
         state = replace(state, seen=none, lost=none, met=state.met[:0], when=state.when[:0])
     begun = time if math.isnan(state.begun) else state.begun
     interval = 0.0 if math.isnan(state.time) else time - state.time
-    present = _present(estimates, rows, confirmed)
-    before = len(state.seen.label)
-    lately = max(LATELY, LATELY_FRAMES * interval)
-    seen = Seen(
-        *seen_after(
-            tuple(state.seen),
-            tuple(present),
-            frame,
-            estimates.followed,
-            plain(looks),
-            (MEMORY, lately),
-        )
+    rules = MEMORY, max(LATELY, LATELY_FRAMES * interval), *RULES
+    seen, met, when, pair, odds, extent, counts = identities_after(
+        tuple(state.seen),
+        (state.met, state.when),
+        _targets(estimates, rows, confirmed, size),
+        frame,
+        estimates.followed,
+        plain(looks),
+        rules,
     )
-    met, when = met_after(
-        state.met, state.when, seen.label, _boxes_of(estimates), time, (LARGER, DOUBT)
+    left, top, right, bottom = state.extent
+    extent = (
+        min(left, extent[0]),
+        min(top, extent[1]),
+        max(right, extent[2]),
+        max(bottom, extent[3]),
     )
-    extent = state.extent
-    if len(present.label):
-        low = np.minimum(extent[:2], present.xyxy[:, :2].min(axis=0))
-        high = np.maximum(extent[2:], present.xyxy[:, 2:].max(axis=0))
-        extent = (*low.tolist(), *high.tolist())
-    return replace(
-        state,
-        seen=seen,
-        met=met,
-        when=when,
-        extent=extent,
-        begun=begun,
-        time=time,
-        confirmed=state.confirmed + len(seen.label) - before,
+    after = Returns(
+        Seen._make(seen),
+        state.lost,
+        met,
+        when,
+        state.pairs,
+        state.exchanges,
+        extent,
+        begun,
+        time,
+        state.confirmed + counts[0],
     )
+    return after, Shown(pair, odds, *counts[1:])
 
 
-def _present(estimates: Estimates, rows: I8, confirmed: Bool) -> Present:
-    """The confirmed targets of a frame that have a detection."""
+def _targets(estimates: Estimates, rows: I8, confirmed: Bool, size: int) -> tuple[Any, ...]:
+    """`Targets` of a frame; ``size`` is the length of descriptors."""
+    tag = estimates.tag
+    mean = estimates.appearance
     count = estimates.appearance_count
     if not len(count):
-        count = np.zeros(len(estimates))
-    now = np.flatnonzero((rows >= 0) & confirmed & (count > 0))
-    clear = free_parts(np.ascontiguousarray(estimates.xyxy))
-    mean = estimates.appearance[now] if len(estimates.appearance) else estimates.appearance
-    return Present(
-        estimates.tag[now],
-        estimates.detection[now],
-        rows[now],
-        estimates.xyxy[now],
-        clear[now],
-        mean,
-        count[now],
-    )
-
-
-def _boxes_of(estimates: Estimates) -> tuple[I8, F8]:
-    """Labels and boxes of the targets of a frame, ascending by label."""
-    tag = estimates.tag
+        mean = np.zeros((len(tag), size), np.float32)
+        count = np.zeros(len(tag))
+    xyxy = np.ascontiguousarray(estimates.xyxy)
+    columns = tag, estimates.detection, rows, confirmed, xyxy, mean, count
     if (tag[1:] > tag[:-1]).all():
-        return tag, np.ascontiguousarray(estimates.xyxy)
+        return columns
     order = np.argsort(tag, kind="stable")
-    return tag[order], estimates.xyxy[order]
+    return tuple(column[order] for column in columns)
 
 
 def named(state: Returns, names: Names) -> Returns:
@@ -252,26 +258,22 @@ def _identities(names: Names, label: I8) -> I8:
     return np.where(there, names.identity.take(place, mode="clip"), 0)
 
 
-def exchanges(state: Returns, looks: Looks, frame: int, names: Names) -> list[Exchange]:
+def exchanges(state: Returns, shown: Shown, frame: int, names: Names) -> list[Exchange]:
     """The identities that targets exchange [APP (6)].
 
     Parameters
     ----------
-    looks, frame : of the frame, and its number.
+    shown : what the frame has shown.
+    frame : its number.
     names : the identities of all labels.
     """
-    if not len(state.met):
+    if not len(shown.pair):
         return []
     seen = state.seen
-    odds = exchange_odds(
-        tuple(seen), state.met, plain(looks), (EXCHANGED, EXCHANGED_WITH_LOST), LEAST_LATELY
-    )
     out = list[Exchange]()
     used = set[int]()
-    for m in np.argsort(-odds, kind="stable").tolist():
-        if not odds[m] > 0:
-            return out
-        labels = np.array(divmod(int(state.met[m]), LABELS))
+    for m in np.argsort(-shown.odds, kind="stable").tolist():
+        labels = np.array(divmod(int(shown.pair[m]), LABELS))
         place = seen.label.searchsorted(labels)
         identity = np.where(
             seen.alive[place], _identities(names, labels), seen.identity[place]
@@ -280,7 +282,7 @@ def exchanges(state: Returns, looks: Looks, frame: int, names: Names) -> list[Ex
         if 0 in identity or a in used or b in used:
             continue
         used |= {a, b}
-        out.append(Exchange((a, b), (identity[0], identity[1]), math.exp(odds[m]), frame))
+        out.append(Exchange((a, b), (identity[0], identity[1]), math.exp(shown.odds[m]), frame))
     return out
 
 

@@ -163,7 +163,17 @@ def as_embeddings(values: object, n: int, where: str) -> F4:
         raise InputError(problem, where=where, cure=cure)
     with np.errstate(over="ignore"):
         embeddings = table.astype(np.float32)
+    _check_finite(embeddings, table, where)
+    return embeddings
+
+
+def _check_finite(embeddings: F4, table: F8 | F4, where: str) -> None:
+    """Raise `InputError` if a row of ``embeddings``, made of the ``table``, has an infinite value
+    or a few NaN.
+    """
     bad = ~np.isfinite(embeddings)
+    if not bad.any():
+        return
     wrong = bad.any(axis=1) & ~np.isnan(embeddings).all(axis=1)
     if wrong.any():
         row = int(np.argmax(wrong))
@@ -173,7 +183,6 @@ def as_embeddings(values: object, n: int, where: str) -> F4:
             where=where,
             cure="Give zeros for a box whose embedding is unknown.",
         )
-    return embeddings
 
 
 def _check_classes(label: F8, where: str) -> None:
@@ -472,8 +481,13 @@ def _checked(found: Detections, where: str) -> Detections:
         raise InputError(
             f"expected a finite covariance of shape {(n, 4, 4)}, got {cov.shape}", where=where
         )
-    if found.embeddings is not None:
-        embeddings = as_embeddings(found.embeddings, n, where)
-        if found.embeddings.dtype != np.float32:
-            return replace(found, embeddings=embeddings)
+    known = found.embeddings
+    if known is None:
+        return found
+    if known.dtype == np.float32 and known.ndim == 2 and len(known) == n and known.shape[1]:
+        _check_finite(known, known, where)
+        return found
+    embeddings = as_embeddings(known, n, where)
+    if known.dtype != np.float32:
+        return replace(found, embeddings=embeddings)
     return found

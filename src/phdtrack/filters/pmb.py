@@ -86,7 +86,7 @@ from phdtrack.errors import (
 )
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
 from phdtrack.kernels import Records
-from phdtrack.kernels.appearance import NO_PASTS, Looks, Pasts, plain, remembered
+from phdtrack.kernels.appearance import NO_PASTS, Looks, Pasts, plain
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.gaussian import Births, NewTargets
 from phdtrack.kernels.jumps import Jumps
@@ -106,10 +106,10 @@ from phdtrack.kernels.pmb_past import (
     best_trace,
     earlier,
     first_earlier,
+    looks_of_targets,
     reported_boxes,
     scaled,
 )
-from phdtrack.kernels.verdicts import DOUBTFUL
 from phdtrack.models.box import BoxMotion, BoxSensor
 from phdtrack.models.clutter import ScoredClutter
 from phdtrack.models.gaussian import (
@@ -122,7 +122,6 @@ from phdtrack.models.gaussian import (
     predicted_measurements,
 )
 from phdtrack.models.pasts import carried as carried_pasts
-from phdtrack.models.pasts import with_looks
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
@@ -438,21 +437,18 @@ class PMB(Checked, Filter[Bernoullis]):
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some
         # kernels.
         now, pasts, looks = _with_pasts(now, state.pasts, model.appearance)
-        appearance = tuple(pasts), plain(looks)
-        layer, learned, gone, weak, counted, verdicts = updated_layer(
+        layer, learned, gone, weak, counted, sure, pasts = updated_layer(
             *map(tuple, (now, ahead, seen, new, scores, settings)),
             state.next_label,
             tuple(self._jumps(now, model, dt)),
-            appearance,
+            (tuple(pasts), plain(looks)),
         )
-        if len(looks.free):
-            pasts = remembered(layer.hypotheses, *appearance)
         layers = (*state.layers[:-1], layer)
         after, info = self._updated(
             (state, layers, state.frame), clutter, (learned, gone, counted), hidden
         )
-        if len(verdicts):
-            info = replace(info, sure=_sure(now, verdicts))
+        if len(sure):
+            info = replace(info, sure=sure)
         # Recycle deleted targets into the undetected ones: PMB (6)
         undetected = state.undetected
         if len(births.weight):
@@ -758,20 +754,21 @@ def _with_pasts(now: Layer, pasts: Pasts, looks: Looks | None) -> tuple[Layer, P
     return now._replace(hypotheses=hypotheses), pasts, looks
 
 
-def _sure(layer: Layer, verdicts: I8) -> I8:
-    """`UpdateInfo.sure` by the ``verdicts`` (T,) on predicted targets; none if it is (0,)."""
-    if not len(verdicts):
-        return NOBODY
-    targets = layer.targets
-    known = (verdicts != DOUBTFUL) & (targets["presence"] >= 0.5)
-    return np.stack([targets["label"][known], verdicts[known]], axis=1)
-
-
 def _with_looks(estimates: Estimates, layer: Layer, pasts: Pasts) -> Estimates:
     """The estimates with what the past of each looks like."""
-    label = layer.targets["label"]
-    best = layer.targets["best"][label.searchsorted(estimates.tag)]
-    return with_looks(estimates, layer.hypotheses["past"][best], pasts, label)
+    looks = looks_of_targets(
+        layer.targets, layer.hypotheses, estimates.tag, pasts.mean, pasts.number
+    )
+    return Estimates(
+        estimates.state,
+        estimates.covariance,
+        estimates.weight,
+        estimates.xyxy,
+        estimates.detection,
+        estimates.tag,
+        estimates.past,
+        *looks,
+    )
 
 
 def without_overlaps(boxes: F8, merge_iou: float) -> I8:

@@ -250,15 +250,26 @@ def described(raw: F4, boxes: F8, mean: F4, most: float, count: float) -> tuple[
 
 
 @njit(**INNER)
-def pair_ratios(pairs: Records, hypotheses: Records, pasts: Pasts, looks: Looks) -> F8:
+def past_directions(pasts: Pasts, looks: Looks) -> tuple[F4, F4]:
+    """`directions` of the means and of the last descriptors of the pasts."""
+    return directions(pasts.mean, looks.mean), directions(pasts.last, looks.mean)
+
+
+@njit(**INNER)
+def pair_ratios(
+    pairs: Records,
+    hypotheses: Records,
+    pasts: Pasts,
+    looks: Looks,
+    directions_before: tuple[F4, F4],
+) -> F8:
     """(P,) the log-likelihood ratios of pairs of a hypothesis and a measurement [APP (2)]; (0,)
-    where nothing is known.
+    where nothing is known. ``directions_before``: `past_directions`.
     """
     if looks.law.weight <= 0.0 or len(pasts.time) == 0:
         return np.empty(0)
     out = np.empty(pairs.size)
-    direction = directions(pasts.mean, looks.mean)
-    last = directions(pasts.last, looks.mean)
+    direction, last = directions_before
     for q in range(pairs.size):
         past = hypotheses[pairs[q].gaussian].past
         j = pairs[q].measurement
@@ -272,7 +283,9 @@ def pair_ratios(pairs: Records, hypotheses: Records, pasts: Pasts, looks: Looks)
 @njit(**ENTRY)
 def ratios_of_pairs(pairs: Records, hypotheses: Records, pasts: Pasts, looks: Looks) -> F8:
     """(P,) `pair_ratios`, for callers in Python."""
-    ratios: F8 = pair_ratios(pairs, hypotheses, Pasts(*pasts), named(looks))
+    before = Pasts(*pasts)
+    seen = named(looks)
+    ratios: F8 = pair_ratios(pairs, hypotheses, before, seen, past_directions(before, seen))
     return ratios
 
 
@@ -374,8 +387,17 @@ def remembered(hypotheses: Records, pasts: Pasts, looks: Looks) -> Pasts:
 
     Hypotheses of one target that come from the same past with the same measurement share one.
     """
-    pasts = Pasts(*pasts)
-    looks = named(looks)
+    before = Pasts(*pasts)
+    seen = named(looks)
+    after: Pasts = pasts_after(hypotheses, before, seen, past_directions(before, seen))
+    return after
+
+
+@njit(**INNER)
+def pasts_after(
+    hypotheses: Records, pasts: Pasts, looks: Looks, directions_before: tuple[F4, F4]
+) -> Pasts:
+    """`remembered`, with the `past_directions`."""
     count = hypotheses.size
     size = len(looks.mean)
     out = Pasts(
@@ -386,8 +408,6 @@ def remembered(hypotheses: Records, pasts: Pasts, looks: Looks) -> Pasts:
         np.empty((count, size), np.float32),
         np.empty(count),
     )
-    direction = directions(pasts.mean, looks.mean)
-    last = directions(pasts.last, looks.mean)
     # Of each past that is written: the past before, and the measurement.
     source = np.empty((count, 2), np.int64)
     n = 0 * count
@@ -413,7 +433,7 @@ def remembered(hypotheses: Records, pasts: Pasts, looks: Looks) -> Pasts:
         if j < 0:
             _write_kept(pasts, past, out, n)
         else:
-            _write_seen(pasts, past, looks, j, (direction, last), out, n)
+            _write_seen(pasts, past, looks, j, directions_before, out, n)
         h.past = n
         n += 1
     return Pasts(

@@ -117,6 +117,19 @@ def taught(
 def _carried_over(followed: Followed, label: I8, size: int, depth: int) -> Followed:
     """The targets of these labels (K,), with what was known of them."""
     count = len(label)
+    if np.array_equal(followed.label, label):
+        return Followed(
+            followed.label,
+            followed.mean.copy(),
+            followed.weight.copy(),
+            followed.time.copy(),
+            followed.taught.copy(),
+            followed.early.copy(),
+            followed.early_time.copy(),
+            followed.early_weight.copy(),
+            followed.single.copy(),
+            followed.single_time.copy(),
+        )
     out = Followed(
         label.copy(),
         np.zeros((count, size), np.float32),

@@ -10,7 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F4, F8, I8, Bool
-from phdtrack.kernels.appearance import MOST, Law, Looks, directions, named, ratio_of_means
+from phdtrack.kernels.appearance import (
+    MOST,
+    Law,
+    Looks,
+    directions,
+    free_parts,
+    named,
+    ratio_of_means,
+)
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
@@ -59,21 +67,44 @@ class Seen(NamedTuple):
         return Seen._make(np.concatenate(both) for both in columns)
 
 
-class Present(NamedTuple):
-    """The confirmed targets (n,) of a frame that have a detection.
+class Targets(NamedTuple):
+    """The targets (n,) of a frame, ascending by label.
 
-    ``label``; ``column``: its measurement; ``row``: the `Detections.row` of it. ``xyxy`` (n, 4).
-    ``clear``: the part of the box that no other target's box covers. ``mean`` (n, D), ``number``:
-    of what its past looks like.
+    ``label``; ``column``: its measurement; ``row``: the `Detections.row` of it; both −1 for none.
+    ``confirmed``. ``xyxy`` (n, 4). ``mean`` (n, D), ``number``: of what its past looks like;
+    ``number`` 0 where that is not known.
     """
 
     label: I8
     column: I8
     row: I8
+    confirmed: Bool
     xyxy: F8
-    clear: F8
     mean: F4
     number: F8
+
+
+class Rules(NamedTuple):
+    """The rules of identities.
+
+    ``memory``, ``lately``: seconds after which what an identity and a target look like count for
+    37 %. ``larger``, ``doubt``: targets meet where boxes overlap that are larger by this part; for
+    so many seconds it is possible that they have exchanged identities. ``exchanged``,
+    ``exchanged_with_lost``: the log odds of that for pairs of which nothing is known, both
+    followed, and one not. ``least``: independent descriptors of what a target has looked like just
+    now that this needs. ``detections``, ``undecided``: detections of a new target from which on it
+    is compared with lost ones, and seconds until which it is.
+    """
+
+    memory: float
+    lately: float
+    larger: float
+    doubt: float
+    exchanged: float
+    exchanged_with_lost: float
+    least: float
+    detections: int
+    undecided: float
 
 
 def nobody(size: int) -> Seen:
@@ -91,51 +122,112 @@ def nobody(size: int) -> Seen:
 
 
 @njit(**ENTRY)
-def seen_after(
+def identities_after(
     seen: tuple[Any, ...],
-    present: tuple[Any, ...],
+    pairs: tuple[I8, F8],
+    targets: tuple[Any, ...],
     frame: int,
     followed: I8,
     looks: Looks,
-    memories: tuple[float, float],
+    rules: tuple[Any, ...],
 ) -> tuple[Any, ...]:
-    """`Seen` after a frame.
+    """What is known of identities after a frame.
 
     Parameters
     ----------
-    seen, present : `Seen` before, and `Present`.
+    seen, pairs : `Seen` before, and the pairs that have met, with seconds, as of `met_after`.
+    targets : `Targets` of the frame.
     frame : its number.
     followed : labels of all targets that are followed, ascending.
-    memories : seconds after which what an identity and a target look like count for 37 %.
+    looks, rules : of the frame, and `Rules`.
+
+    Returns
+    -------
+    `Seen`; the pairs that have met, and seconds; those of them that probably have exchanged their
+    identities, and the log odds of that [APP (6)]; left, top, right and bottom of the boxes of
+    confirmed targets that were detected; how many of these are new, and how many may be lost ones;
+    and how many are followed no more.
     """
     before = Seen(*seen)
-    now = Present(*present)
+    now = Targets(*targets)
     looks = named(looks)
-    fresh = _new(before.label, now.label)
-    out = _with_room(before, now.label[fresh], looks.mean.size)
-    place = np.searchsorted(out.label, now.label)
+    rules = Rules(*rules)
+    fresh, out = _seen_after(before, now, frame, followed, looks, rules)
+    met, when = met_after(
+        pairs[0],
+        pairs[1],
+        out.label,
+        (now.label, now.xyxy),
+        looks.time,
+        (rules.larger, rules.doubt),
+    )
+    odds = exchange_odds(out, met, looks, rules)
+    likely = odds > 0.0
+    extent = math.inf, math.inf, -math.inf, -math.inf
+    undecided = 0
+    gone = 0
+    for p in range(out.label.size):
+        gone += not out.alive[p]
+        if out.last[p] != looks.time:
+            continue
+        box = out.xyxy[p]
+        extent = (
+            min(extent[0], box[0]),
+            min(extent[1], box[1]),
+            max(extent[2], box[2]),
+            max(extent[3], box[3]),
+        )
+        young = looks.time - out.first[p] <= rules.undecided and not out.given[p]
+        undecided += young and out.alive[p] and out.detections[p] >= rules.detections
+    return tuple(out), met, when, met[likely], odds[likely], extent, (fresh, undecided, gone)
+
+
+@njit(**INNER)
+def _seen_after(
+    before: Seen, now: Targets, frame: int, followed: I8, looks: Looks, rules: Rules
+) -> tuple[int, Seen]:
+    """How many targets are new, and `Seen` after a frame."""
+    present = _present(now)
+    label = now.label[present]
+    fresh = _new(before.label, label)
+    out = _with_room(before, label[fresh], looks.mean.size)
+    place = np.searchsorted(out.label, label)
     for each in range(fresh.size):
-        _begin(out, place[fresh[each]], now, fresh[each], frame, looks.time)
-    for k in range(now.label.size):
-        p = place[k]
+        _begin(out, place[fresh[each]], now, present[fresh[each]], frame, looks.time)
+    clear = free_parts(now.xyxy)
+    for each in range(present.size):
+        k = present[each]
+        p = place[each]
         j = now.column[k]
         out.last[p] = looks.time
         out.ended[p, 0] = frame
         out.ended[p, 1] = now.row[k]
         out.xyxy[p] = now.xyxy[k]
         out.detections[p] += 1
-        share = min(looks.free[j], now.clear[k])
+        share = min(looks.free[j], clear[k])
         if share > 0.0 and looks.time > out.updated[p]:
-            _look(out, p, looks, j, share, memories)
+            _look(out, p, looks, j, share, (rules.memory, rules.lately))
     for t in range(out.label.size):
         at = np.searchsorted(followed, out.label[t])
         out.alive[t] = at < followed.size and followed[at] == out.label[t]
-    return tuple(out)
+    return fresh.size, out
+
+
+@njit(**INNER)
+def _present(now: Targets) -> I8:
+    """The confirmed targets that have a detection and of which it is known what they look like."""
+    out = np.empty(now.label.size, np.int64)
+    n = 0
+    for k in range(now.label.size):
+        if now.row[k] >= 0 and now.confirmed[k] and now.number[k] > 0.0:
+            out[n] = k
+            n += 1
+    return out[:n]
 
 
 @njit(**INNER)
 def _new(known: I8, label: I8) -> I8:
-    """The places of labels that are not among the ``known``, ascending by label."""
+    """The places of labels, ascending, that are not among the ``known``."""
     place = np.searchsorted(known, label)
     out = np.empty(label.size, np.int64)
     n = 0
@@ -143,12 +235,12 @@ def _new(known: I8, label: I8) -> I8:
         if place[k] == known.size or known[place[k]] != label[k]:
             out[n] = k
             n += 1
-    return out[:n][np.argsort(label[out[:n]])]
+    return out[:n]
 
 
 @njit(**INNER)
-def _begin(out: Seen, p: int, now: Present, k: int, frame: int, time: float) -> None:
-    """Write what is known of present target k, which is new, into row p."""
+def _begin(out: Seen, p: int, now: Targets, k: int, frame: int, time: float) -> None:
+    """Write what is known of target k, which is new, into row p."""
     out.first[p] = time
     out.began[p, 0] = frame
     out.began[p, 1] = now.row[k]
@@ -163,7 +255,29 @@ def _begin(out: Seen, p: int, now: Present, k: int, frame: int, time: float) -> 
 
 @njit(**INNER)
 def _with_room(before: Seen, label: I8, size: int) -> Seen:
-    """A copy with rows for new labels, ascending; ``size`` is the length of descriptors."""
+    """A copy with rows for new labels, ascending; ``size`` is the length of descriptors. Columns
+    that only change with new rows are the same if there are none.
+    """
+    if label.size == 0:
+        return Seen(
+            before.label,
+            before.identity,
+            before.first,
+            before.last.copy(),
+            before.began,
+            before.ended.copy(),
+            before.xyxy.copy(),
+            before.detections.copy(),
+            before.given,
+            before.alive.copy(),
+            before.mean.copy(),
+            before.weight.copy(),
+            before.number.copy(),
+            before.lately.copy(),
+            before.lately_weight.copy(),
+            before.lately_number.copy(),
+            before.updated.copy(),
+        )
     count = before.label.size + label.size
     out = Seen(
         np.empty(count, np.int64),
@@ -325,20 +439,18 @@ def _near(label: I8, boxes: F8, half: float) -> I8:
 
 
 @njit(**ENTRY)
-def exchange_odds(
-    seen: tuple[Any, ...], met: I8, looks: Looks, prior: tuple[float, float], least: float
-) -> F8:
+def exchange_odds(seen: tuple[Any, ...], met: I8, looks: Looks, rules: tuple[Any, ...]) -> F8:
     """(M,) the log odds that the targets of each pair have exchanged their identities [APP (6)]; −∞
     where that cannot be known, or they are below 0.
 
     Parameters
     ----------
     seen, met : `Seen`, and pairs of `met_after`.
-    prior : the log odds of pairs of which nothing is known, both followed, and one not.
-    least : independent descriptors of what a target has looked like just now that this needs.
+    looks, rules : of the frame, and `Rules`.
     """
     known = Seen(*seen)
     looks = named(looks)
+    rules = Rules(*rules)
     out = np.full(met.size, -np.inf)
     if met.size == 0 or not looks.law.means_weight > 0.0:
         return out
@@ -347,16 +459,18 @@ def exchange_odds(
     seen_now = np.empty(known.label.size, np.bool_)
     for a in range(known.label.size):
         fits[a] = _fit(known, directions_of, a, a, looks.law)
-        seen_now[a] = _is_seen(known, a, looks.time, least)
+        seen_now[a] = _is_seen(known, a, looks.time, rules.least)
     for m in range(met.size):
         a, b = _places(known.label, met[m])
         if a < 0 or b < 0:
             continue
-        if not (seen_now[a] or seen_now[b]) or (known.alive[a] and not seen_now[a]):
+        if not (seen_now[a] or seen_now[b]):
             continue
-        if known.alive[b] and not seen_now[b]:
+        if not (seen_now[a] or _is_lost(known, a, looks.time, rules.doubt)):
             continue
-        odds = prior[0] if seen_now[a] and seen_now[b] else prior[1]
+        if not (seen_now[b] or _is_lost(known, b, looks.time, rules.doubt)):
+            continue
+        odds = rules.exchanged if seen_now[a] and seen_now[b] else rules.exchanged_with_lost
         odds -= seen_now[a] * fits[a] + seen_now[b] * fits[b]
         # No ratio of likelihoods is larger than this.
         if odds + (seen_now[a] + seen_now[b]) * MOST <= 0.0:
@@ -367,6 +481,12 @@ def exchange_odds(
             odds += _fit(known, directions_of, b, a, looks.law)
         out[m] = odds
     return out
+
+
+@njit(**INNER)
+def _is_lost(known: Seen, a: int, time: float, doubt: float) -> bool:
+    """True if target a is followed no more, and was detected not long ago."""
+    return bool(not known.alive[a] and known.last[a] >= time - doubt)
 
 
 @njit(**INNER)

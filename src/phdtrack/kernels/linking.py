@@ -14,7 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F8, I8
-from phdtrack.kernels.appearance import HOLDER, MOST, Looks, Pasts, named, pair_ratios
+from phdtrack.kernels.appearance import (
+    HOLDER,
+    MOST,
+    Looks,
+    Pasts,
+    named,
+    pair_ratios,
+    past_directions,
+)
 from phdtrack.kernels.association import (
     CLOSED,
     EDGE,
@@ -381,7 +389,8 @@ def _add_appearance(start: I8, target: I8, gain: F8, old: int, row: int, linked:
     holders = np.empty(linked.past.size, HOLDER)
     for c in range(holders.size):
         holders[c].past = linked.past[c]
-    ratio = pair_ratios(pairs[:count], holders, linked.pasts, linked.looks)
+    seen_before = past_directions(linked.pasts, linked.looks)
+    ratio = pair_ratios(pairs[:count], holders, linked.pasts, linked.looks, seen_before)
     for q in range(ratio.size):
         gain[edge[q]] += ratio[q]
     kept = first

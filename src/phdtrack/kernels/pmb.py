@@ -28,7 +28,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F8, I8, Bool, Records
-from phdtrack.kernels.appearance import Looks, Pasts, named, pair_ratios
+from phdtrack.kernels.appearance import (
+    Looks,
+    Pasts,
+    named,
+    pair_ratios,
+    past_directions,
+    pasts_after,
+)
 from phdtrack.kernels.association import EDGE, beliefs
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import INNER, MERGED
@@ -44,7 +51,7 @@ from phdtrack.kernels.gaussian import (
     write_posteriors,
 )
 from phdtrack.kernels.jumps import Jumps, jumped, jumping, merged_pairs, with_jumps
-from phdtrack.kernels.verdicts import write_verdicts
+from phdtrack.kernels.verdicts import DOUBTFUL, write_verdicts
 
 TINY = float(np.finfo(np.float64).tiny)
 # Log odds of what is certain, in double precision.
@@ -251,6 +258,7 @@ def updated_layer(
     F8,
     tuple[float, float, float],
     I8,
+    Pasts,
 ]:
     """The targets after the measurements, with new ones, and what was learned [W15].
 
@@ -268,8 +276,8 @@ def updated_layer(
     The targets; of `types.UpdateInfo` the predicted, the newborn and the updated mass, C(z), the
     probabilities of false alarms, ``vanished`` and ``detected``; the best hypothesis of the frame
     before of each target that was once confirmed and has been deleted; (T,) the probabilities with
-    which deleted targets exist, 0 of others; what `_detections` counts; and what `write_verdicts`
-    says of the predicted targets.
+    which deleted targets exist, 0 of others; what `_detections` counts; `types.UpdateInfo.sure`;
+    and `Pasts` after the frame.
     """
     layer = Layer(*layer)
     e = Expected(*e)
@@ -278,6 +286,7 @@ def updated_layer(
     scores = Scores(*scores)
     s = Settings(*s)
     jumps = Jumps(*jumps)
+    pasts, looks = Pasts(*appearance[0]), named(appearance[1])
     targets, hypotheses, mean, covariance = layer
     count = len(targets)
     p_detect, visible, tails, genuine = _detection_terms(hypotheses, e.p_detect, s)
@@ -300,7 +309,9 @@ def updated_layer(
     # Associate
     exists = np.empty(count)
     measured = np.empty((3, len(m.z)))
-    ratio, verdicts = _compared(appearance, pairs, hypotheses, count)
+    seen_before = past_directions(pasts, looks)
+    ratio = pair_ratios(pairs, hypotheses, pasts, looks, seen_before)
+    verdicts = np.empty(count if len(looks.mean) > 0 else 0, np.int64)
     born, vanished, started = _associate(
         (targets, hypotheses, p_detect),
         genuine,
@@ -336,6 +347,8 @@ def updated_layer(
     exists[kept > 0] = 0.0
     # Add the new targets
     k, mass = _write_new(measured[2], (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
+    if len(looks.free) > 0:
+        pasts = pasts_after(out.hypotheses[:k], pasts, looks, seen_before)
     learned = born + predicted, born, mass, measured[0], measured[1], vanished, detected
     return (
         Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k]),
@@ -343,21 +356,22 @@ def updated_layer(
         gone[:lost],
         exists,
         counted,
-        verdicts,
+        _sure(targets, verdicts),
+        pasts,
     )
 
 
 @njit(**INNER)
-def _compared(
-    appearance: tuple[Pasts, Looks], pairs: Records, hypotheses: Records, count: int
-) -> tuple[F8, I8]:
-    """The log-likelihood ratios of the pairs, and room for `write_verdicts` on ``count`` targets;
-    (0,) where it is not known what measurements look like.
-    """
-    pasts, looks = appearance
-    looks = named(looks)
-    ratio = pair_ratios(pairs, hypotheses, Pasts(*pasts), looks)
-    return ratio, np.empty(count if len(looks.mean) > 0 else 0, np.int64)
+def _sure(targets: Records, verdicts: I8) -> I8:
+    """`types.UpdateInfo.sure` by the ``verdicts`` on targets."""
+    out = np.empty((verdicts.size, 2), np.int64)
+    n = 0
+    for t in range(verdicts.size):
+        if verdicts[t] != DOUBTFUL and targets[t].presence >= 0.5:
+            out[n, 0] = targets[t].label
+            out[n, 1] = verdicts[t]
+            n += 1
+    return out[:n]
 
 
 @njit(**INNER)

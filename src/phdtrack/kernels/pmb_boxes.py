@@ -136,7 +136,7 @@ def stepped_boxes(
     unseen = np.empty((0, 0), np.float32)
     pasts = (unseen, none, none, none, unseen, none)
     looks = (unseen, unseen, np.empty(0, np.float32), none, _LAW, 0.0, 1.0)
-    after, learned, gone, _, counted, _ = updated_layer(
+    after, learned, gone, _, counted, _, _ = updated_layer(
         ahead, expected, m, new, scores, settings, fresh, jumps, (pasts, looks)
     )
     return (

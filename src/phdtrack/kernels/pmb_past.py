@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from phdtrack.kernels import F8, I8, Records
+from phdtrack.kernels import F4, F8, I8, Records
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
@@ -193,3 +193,30 @@ def scaled(covariance: F8, hypotheses: Records, at: I8) -> F8:
             for b in range(d):
                 out[k, a, b] = root[a] * covariance[at[k], a, b] * root[b]
     return out
+
+
+@njit(**ENTRY)
+def looks_of_targets(
+    targets: Records, hypotheses: Records, tag: I8, mean: F4, number: F8
+) -> tuple[F4, F8, I8]:
+    """(n, D) what the best hypotheses of targets look like by their pasts, and (n,) of how many
+    independent descriptors that is the mean, 0 where it is not known; and (T,) all labels.
+
+    Parameters
+    ----------
+    targets, hypotheses : all of them.
+    tag : (n,) labels of some targets.
+    mean, number : as of `kernels.appearance.Pasts`.
+    """
+    label = np.empty(targets.size, np.int64)
+    for t in range(targets.size):
+        label[t] = targets[t].label
+    out = np.zeros((tag.size, mean.shape[1]), np.float32)
+    count = np.zeros(tag.size)
+    place = np.searchsorted(label, tag)
+    for k in range(tag.size):
+        past = hypotheses[targets[place[k]].best].past
+        if past >= 0:
+            out[k] = mean[past]
+            count[k] = number[past]
+    return out, count, label

@@ -1,0 +1,141 @@
+"""The meaning of similarity by the lessons of a stream (docs/methods.md, Appearance) [APP (3)],
+[APP (4)].
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from phdtrack.kernels import F8
+from phdtrack.kernels.appearance import UNKNOWN
+from phdtrack.kernels.appearance_lessons import Lessons
+from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import ENTRY, INNER
+
+# Lessons that are worth one: those of one target are not independent.
+ALIKE = 5.0
+# The least deviation of similarity, and for how many lessons the usual one counts.
+LEAST_DEVIATION = 0.03
+USUAL_DEVIATION = 0.15
+USUAL_FOR = 5.0
+# What evidence of pictures counts for where motion leaves doubt: what hides parts of objects makes
+# them worse there than where the lessons come from.
+TRUST = 0.5
+# Seconds for which errors of descriptors usually last; lessons of single descriptors for which the
+# usual values count, and the usual signal.
+USUAL_INDEPENDENT = 0.5
+PRIOR_SINGLE = 20.0
+USUAL_SIGNAL = 0.6
+_UNKNOWN = tuple(UNKNOWN[:-1])
+
+
+@njit(**ENTRY)
+def law_of(lessons: tuple[Any, ...], prior: float, within: float) -> tuple[float, ...]:
+    """The fields of `kernels.appearance.Law`.
+
+    Parameters
+    ----------
+    lessons : `Lessons` so far.
+    prior : lessons for which it counts that appearance says nothing.
+    within : `Law.within`.
+    """
+    sums = Lessons(*lessons)
+    number, x, xx, s, xs, ss = sums.same
+    others, t, tt = sums.other
+    if min(number, others) <= 0.0:
+        return (*_UNKNOWN, within)
+    spread = xx - x * x / number
+    fading = min((xs - x * s / number) / (spread + 1.0), 0.0)
+    same = (s - fading * x) / number
+    rest = ss - 2 * (same * s + fading * xs) + number * same**2
+    rest += fading * (2 * same * x + fading * xx)
+    variance = _variance(rest, number)
+    other = t / others
+    other_variance = _variance(tt - others * other**2, others)
+    value = worth((number, same, variance), (others, other, other_variance), prior)
+    independent, signal, near_deviation = _noise(sums.single)
+    return (
+        TRUST * value,
+        same,
+        fading,
+        _deviation(variance),
+        other,
+        _deviation(other_variance),
+        independent,
+        signal,
+        near_deviation,
+        *_means(sums.means, prior),
+        within,
+    )
+
+
+@njit(**INNER)
+def _variance(squares: float, number: float) -> float:
+    """The variance by a sum of squares of so many lessons."""
+    usual = USUAL_FOR * USUAL_DEVIATION**2
+    return (max(squares, 0.0) + usual) / (number + USUAL_FOR)
+
+
+@njit(**INNER)
+def _deviation(variance: float) -> float:
+    """The deviation, at least the least one."""
+    return max(math.sqrt(variance), LEAST_DEVIATION)
+
+
+@njit(**INNER)
+def worth(
+    same: tuple[float, float, float], other: tuple[float, float, float], prior: float
+) -> float:
+    """How much similarity is worth, from 0 to 1: the less, the nearer to its standard error the
+    difference of the two means is (James and Stein), and the fewer lessons there were.
+
+    ``same``, ``other``: number of lessons, mean and variance of the similarity of one object, and
+    of two. ``prior``: as of `law_of`.
+    """
+    number, mean, variance = same
+    others, other_mean, other_variance = other
+    difference = mean - other_mean
+    if difference <= 0.0:
+        return 0.0
+    error = ALIKE * (variance / number + other_variance / others)
+    least = min(number, others)
+    certain = max(1 - error / difference**2, 0.0)
+    return certain * least / (least + prior)
+
+
+@njit(**INNER)
+def _means(means: F8, prior: float) -> tuple[float, float, float, float, float]:
+    """`Law.means_weight` and what follows it, but for ``within``."""
+    number, s, ss, others, t, tt = means
+    if min(number, others) <= 0.0:
+        return 0.0, 1.0, 1.0, 0.0, 1.0
+    same = s / number
+    other = t / others
+    variance = _variance(ss - number * same**2, number)
+    other_variance = _variance(tt - others * other**2, others)
+    return (
+        worth((number, same, variance), (others, other, other_variance), prior),
+        same,
+        _deviation(variance),
+        other,
+        _deviation(other_variance),
+    )
+
+
+@njit(**INNER)
+def _noise(single: F8) -> tuple[float, float, float]:
+    """Seconds for which errors of descriptors last, the part of a single descriptor's variance that
+    is the object's own, and the deviation of the similarity of neighbouring ones [APP (4)].
+    """
+    near, apart, alike, far, long_after, squares = single
+    signal = (long_after + PRIOR_SINGLE * USUAL_SIGNAL) / (far + PRIOR_SINGLE)
+    signal = min(max(signal, 0.05), 0.95)
+    if near <= 0.0:
+        return USUAL_INDEPENDENT, signal, USUAL_DEVIATION
+    rho = (alike / near - signal) / (1 - signal)
+    rho = min(max(rho, 0.001), 0.98)
+    seconds = -(apart / near) / math.log(rho)
+    share = near / (near + PRIOR_SINGLE)
+    seconds = math.exp(share * math.log(seconds) + (1 - share) * math.log(USUAL_INDEPENDENT))
+    return seconds, signal, _deviation(_variance(squares - alike**2 / near, near))
