@@ -30,6 +30,8 @@ CHANCE = 0.05
 ODD_TIME = 1.0
 # A box of which less is free shows nothing of its object.
 LEAST_FREE = 0.5
+# Detections are beside each other if their boxes, larger by this part, overlap.
+LARGER = 0.25
 # The largest log-likelihood ratio of a pair.
 MOST = 6.0
 # Seconds within which an object looks the same.
@@ -76,7 +78,8 @@ class Looks(NamedTuple):
     ``raw`` (N, D): descriptors of length one; zeros where nothing is known. ``seen`` (N, D): the
     same less ``mean`` (D,), of length one again. ``free`` (N,): the part of each box that no other
     one covers. ``law``: what similarity says. ``time``: seconds. ``memory``: seconds after which
-    what was seen counts for 37 %.
+    what was seen counts for 37 %. ``beside`` (N,): of the detections that each one is beside, the
+    one nearest to it, −1 for none; (0,) where that is not known.
     """
 
     raw: F4
@@ -86,6 +89,7 @@ class Looks(NamedTuple):
     law: Law
     time: float
     memory: float
+    beside: I8 = np.zeros(0, np.int64)
 
 
 class Pasts(NamedTuple):
@@ -126,8 +130,8 @@ def plain(looks: Looks) -> tuple[Any, ...]:
 @njit(**INLINED)
 def named(looks: Looks) -> Looks:
     """`Looks` of those of `plain`."""
-    raw, seen, mean, free, law, time, memory = looks
-    return Looks(raw, seen, mean, free, Law(*law), time, memory)
+    raw, seen, mean, free, law, time, memory, beside = looks
+    return Looks(raw, seen, mean, free, Law(*law), time, memory, beside)
 
 
 @njit(**INLINED)
@@ -153,6 +157,12 @@ def _gain(
     gain = 0.5 * ((s - other) * (s - other) * wide - (s - same) * (s - same) * narrow)
     gain += math.log(other_deviation / deviation)
     return gain if gain < MOST else MOST
+
+
+@njit(**INLINED)
+def similarity_gain(similarity: float, law: Law) -> float:
+    """log p(s | the same object)/p(s | another object) [APP (1)]."""
+    return _gain(similarity, law.same, law.same_deviation, law.other, law.other_deviation)
 
 
 @njit(**INLINED)
@@ -211,8 +221,8 @@ def directions(looks: F4, mean: F4) -> F4:
 
 @njit(**ENTRY)
 def described(raw: F4, boxes: F8, mean: F4, most: float, count: float) -> tuple[Any, ...]:
-    """`Looks.raw`, `Looks.seen`, the mean of the stream, `Looks.free`, and of how many descriptors
-    that mean then is.
+    """`Looks.raw`, `Looks.seen`, the mean of the stream, `Looks.free`, of how many descriptors that
+    mean then is, and `Looks.beside`.
 
     Parameters
     ----------
@@ -246,7 +256,33 @@ def described(raw: F4, boxes: F8, mean: F4, most: float, count: float) -> tuple[
             seen[i] = 0.0
         if not similarity_of(seen, i, seen, i) > 0.0:
             free[i] = 0.0
-    return unit, seen, after, free, count
+    return unit, seen, after, free, count, besides(boxes)
+
+
+@njit(**ENTRY)
+def besides(boxes: F8) -> I8:
+    """(N,) `Looks.beside` of boxes (N, 4): those that overlap if they are larger by `LARGER`; the
+    nearest one overlaps by the largest part of the sum of the sides.
+    """
+    n = len(boxes)
+    out = np.full(n, -1)
+    nearest = np.zeros(n)
+    for i in range(n):
+        for j in range(i):
+            width = boxes[i, 2] - boxes[i, 0] + boxes[j, 2] - boxes[j, 0]
+            height = boxes[i, 3] - boxes[i, 1] + boxes[j, 3] - boxes[j, 1]
+            if not (width > 0.0 and height > 0.0):
+                continue
+            x = abs(boxes[i, 0] + boxes[i, 2] - boxes[j, 0] - boxes[j, 2]) / width
+            y = abs(boxes[i, 1] + boxes[i, 3] - boxes[j, 1] - boxes[j, 3]) / height
+            over = 1.0 + LARGER - max(x, y)
+            if over > nearest[i]:
+                nearest[i] = over
+                out[i] = j
+            if over > nearest[j]:
+                nearest[j] = over
+                out[j] = i
+    return out
 
 
 @njit(**INNER)

@@ -9,7 +9,7 @@ from typing import Any
 
 from phdtrack.kernels import F8
 from phdtrack.kernels.appearance import UNKNOWN
-from phdtrack.kernels.appearance_lessons import Lessons
+from phdtrack.kernels.appearance_lessons import USUAL_CHANGED, Lessons, changed_share
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
@@ -27,11 +27,15 @@ TRUST = 0.5
 USUAL_INDEPENDENT = 0.5
 PRIOR_SINGLE = 20.0
 USUAL_SIGNAL = 0.6
+# Of the meetings at which two change looks this part is seen beside each other thereafter.
+SEEN_CHANGED = 0.08
 _UNKNOWN = tuple(UNKNOWN[:-1])
 
 
 @njit(**ENTRY)
-def law_of(lessons: tuple[Any, ...], prior: float, within: float) -> tuple[float, ...]:
+def law_of(
+    lessons: tuple[Any, ...], prior: float, within: float, alike: float
+) -> tuple[float, ...]:
     """The fields of `kernels.appearance.Law`.
 
     Parameters
@@ -39,6 +43,7 @@ def law_of(lessons: tuple[Any, ...], prior: float, within: float) -> tuple[float
     lessons : `Lessons` so far.
     prior : lessons for which it counts that appearance says nothing.
     within : `Law.within`.
+    alike : lessons of means that are worth one.
     """
     sums = Lessons(*lessons)
     number, x, xx, s, xs, ss = sums.same
@@ -53,10 +58,11 @@ def law_of(lessons: tuple[Any, ...], prior: float, within: float) -> tuple[float
     variance = _variance(rest, number)
     other = t / others
     other_variance = _variance(tt - others * other**2, others)
-    value = worth((number, same, variance), (others, other, other_variance), prior)
+    value = worth((number, same, variance), (others, other, other_variance), prior, ALIKE)
+    trust = _trust(changed_share(sums.beside))
     independent, signal, near_deviation = _noise(sums.single)
     return (
-        TRUST * value,
+        TRUST * trust * value,
         same,
         fading,
         _deviation(variance),
@@ -65,7 +71,7 @@ def law_of(lessons: tuple[Any, ...], prior: float, within: float) -> tuple[float
         independent,
         signal,
         near_deviation,
-        *_means(sums.means, prior),
+        *_means(sums.means, prior, alike, trust),
         within,
     )
 
@@ -85,27 +91,49 @@ def _deviation(variance: float) -> float:
 
 @njit(**INNER)
 def worth(
-    same: tuple[float, float, float], other: tuple[float, float, float], prior: float
+    same: tuple[float, float, float],
+    other: tuple[float, float, float],
+    prior: float,
+    alike: float,
 ) -> float:
     """How much similarity is worth, from 0 to 1: the less, the nearer to its standard error the
     difference of the two means is (James and Stein), and the fewer lessons there were.
 
     ``same``, ``other``: number of lessons, mean and variance of the similarity of one object, and
-    of two. ``prior``: as of `law_of`.
+    of two. ``prior``: as of `law_of`. ``alike``: lessons that are worth one.
     """
     number, mean, variance = same
     others, other_mean, other_variance = other
     difference = mean - other_mean
     if difference <= 0.0:
         return 0.0
-    error = ALIKE * (variance / number + other_variance / others)
+    error = alike * (variance / number + other_variance / others)
     least = min(number, others)
     certain = max(1 - error / difference**2, 0.0)
     return certain * least / (least + prior)
 
 
 @njit(**INNER)
-def _means(means: F8, prior: float) -> tuple[float, float, float, float, float]:
+def _trust(changed: float) -> float:
+    """The part of the evidence of looks that is left, from 0 to 1, where the looks of targets that
+    meet have ``changed``, as of `changed_share`.
+
+    If looks change places at a meeting with probability ε, then all that two targets look like
+    after it is worth no more than log (1 − ε)/ε.
+    """
+    if changed <= USUAL_CHANGED:
+        return 1.0
+    chance = changed / SEEN_CHANGED
+    if chance >= 0.5:
+        return 0.0
+    usual = USUAL_CHANGED / SEEN_CHANGED
+    return math.log(1.0 / chance - 1.0) / math.log(1.0 / usual - 1.0)
+
+
+@njit(**INNER)
+def _means(
+    means: F8, prior: float, alike: float, trust: float
+) -> tuple[float, float, float, float, float]:
     """`Law.means_weight` and what follows it, but for ``within``."""
     number, s, ss, others, t, tt = means
     if min(number, others) <= 0.0:
@@ -115,7 +143,7 @@ def _means(means: F8, prior: float) -> tuple[float, float, float, float, float]:
     variance = _variance(ss - number * same**2, number)
     other_variance = _variance(tt - others * other**2, others)
     return (
-        worth((number, same, variance), (others, other, other_variance), prior),
+        trust * worth((number, same, variance), (others, other, other_variance), prior, alike),
         same,
         _deviation(variance),
         other,

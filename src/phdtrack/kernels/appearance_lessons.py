@@ -17,10 +17,16 @@ from phdtrack.kernels.appearance import (
     directions,
     move_mean,
     named,
+    similarity_gain,
     similarity_of,
 )
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+
+# The share of targets beside another one that have changed looks with it usually, and the lessons
+# that this counts for.
+USUAL_CHANGED = 0.01
+PRIOR_BESIDE = 40.0
 
 
 class Followed(NamedTuple):
@@ -51,12 +57,14 @@ class Lessons(NamedTuple):
     ``single`` (6,): of single descriptors of one object the number, and the sums of Δ and s, of
     neighbouring frames; the number and the sum of s of those some time apart; the sum of s² of the
     first. ``means`` (6,): of means of one object and of two, the number, and the sums of s and s².
+    ``beside`` (2,): of targets beside another one the number, and how many have changed looks.
     """
 
     same: F8
     other: F8
     single: F8
     means: F8
+    beside: F8
 
 
 class Rules(NamedTuple):
@@ -85,8 +93,8 @@ def taught(
     followed = Followed(*followed)
     looks = named(looks)
     rules = Rules(*rules)
-    same, other, single, means = lessons
-    sums = Lessons(same.copy(), other.copy(), single.copy(), means.copy())
+    same, other, single, means, beside = lessons
+    sums = Lessons(same.copy(), other.copy(), single.copy(), means.copy(), beside.copy())
     out = _carried_over(followed, sure[:, 0], looks.raw.shape[1], len(rules.spans))
     count = len(sure)
     learns = np.zeros(count, np.bool_)
@@ -103,6 +111,7 @@ def taught(
             _teach_other(out, known, looks, (a, sure[a, 1]), sums, rules.most)
             if out.weight[a] > 0.0:
                 _teach_same(out, known, looks, (a, sure[a, 1]), sums, rules)
+                _teach_beside(out, known, looks, (a, sure), sums.beside, rules.most)
     for a in range(count):
         j = sure[a, 1]
         if j >= 0 and looks.free[j] >= rules.least_free:
@@ -218,6 +227,39 @@ def _teach_same(
                 sums.means[0] += 1.0 / parts
                 sums.means[1] += s / parts
                 sums.means[2] += s * s / parts
+
+
+@njit(**INNER)
+def _teach_beside(
+    out: Followed, known: F4, looks: Looks, at: tuple[int, I8], beside: F8, most: float
+) -> None:
+    """Learn whether a target that is beside another one has changed looks with it, ``at`` =
+    (a, sure): with the probability that this is the case by what is known so far [APP (5)].
+    """
+    a, sure = at
+    j = sure[a, 1]
+    law = looks.law
+    other = looks.beside[j] if looks.beside.size > 0 else -1
+    if other < 0 or law.same_deviation >= 1.0:
+        return
+    for b in range(len(sure)):
+        if sure[b, 1] == other and out.weight[b] > 0.0:
+            fits = similarity_gain(similarity_of(known, a, looks.seen, j), law)
+            crossed = similarity_gain(similarity_of(known, b, looks.seen, j), law)
+            share = changed_share(beside)
+            changed = share * math.exp(crossed - fits)
+            _forget(beside, most)
+            beside[0] += 1.0
+            beside[1] += changed / (changed + 1.0 - share)
+
+
+@njit(**INNER)
+def changed_share(beside: F8) -> float:
+    """The share of what is seen of targets beside another one in which they have changed looks, by
+    `Lessons.beside`.
+    """
+    found: float = (beside[1] + PRIOR_BESIDE * USUAL_CHANGED) / (beside[0] + PRIOR_BESIDE)
+    return found
 
 
 @njit(**INNER)

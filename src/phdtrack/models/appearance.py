@@ -45,9 +45,7 @@ class AppearanceSeen:
     mean: F4 = field(default_factory=lambda: np.zeros(0, np.float32))
     count: float = 0.0
     followed: Followed = field(default_factory=lambda: nobody(0))
-    lessons: Lessons = field(
-        default_factory=lambda: Lessons(np.zeros(6), np.zeros(3), np.zeros(6), np.zeros(6))
-    )
+    lessons: Lessons = field(default_factory=lambda: Lessons(*map(np.zeros, (6, 3, 6, 6, 2))))
 
 
 def nobody(size: int) -> Followed:
@@ -104,7 +102,7 @@ class Appearance(Checked):
             mean = np.zeros(raw.shape[1], np.float32)
             count = 0.0
             state = AppearanceSeen(followed=nobody(raw.shape[1]))
-        unit, seen, mean, free, count = described(
+        unit, seen, mean, free, count, beside = described(
             np.ascontiguousarray(raw, np.float32),
             np.ascontiguousarray(detections.xyxy),
             mean,
@@ -112,7 +110,8 @@ class Appearance(Checked):
             count,
         )
         after = AppearanceSeen(mean, count, state.followed, state.lessons)
-        return after, Looks(unit, seen, mean, free, self.law(state.lessons), time, self.memory)
+        law = self.law(state.lessons)
+        return after, Looks(unit, seen, mean, free, law, time, self.memory, beside)
 
     def known(self, state: AppearanceSeen) -> Looks | None:
         """The law that the stream has taught so far, with no detections; None where it had no
@@ -127,7 +126,13 @@ class Appearance(Checked):
     def law(self, lessons: Lessons) -> Law:
         """The meaning of similarity by the lessons so far [APP (3)]."""
         within = self.reidentify_within or math.inf
-        return Law._make(law_of(tuple(lessons), self.prior_lessons, within))
+        return Law._make(law_of(tuple(lessons), self.prior_lessons, within, self._alike))
+
+    @property
+    def _alike(self) -> float:
+        """Lessons of means that are worth one: each is of much the same descriptors as the next."""
+        kept = math.exp(-PAUSE / self.memory)
+        return (1 + kept) / (1 - kept)
 
     def advance(self, state: AppearanceSeen, sure: I8, looks: Looks | None) -> AppearanceSeen:
         """Learn from a frame whose targets without doubt are ``sure`` (K, 2): label, and
