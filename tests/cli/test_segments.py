@@ -105,6 +105,54 @@ def test_identities_are_kept_across_a_segment_border(
     assert [line.partition(",")[0] for line in states[1:]] == [row[0] for row in rows]
 
 
+def worth(pairs: int, apart: float | None) -> dict[str, Any]:
+    """The appearance of a run.json."""
+    return {
+        "source": "colours",
+        "pairs_of_one_object": pairs,
+        "pairs_of_two_objects": 3 * pairs,
+        "seconds_apart": apart,
+        "told_apart": 0.9 if pairs else None,
+        "nats_of_taken_detections": 1.5,
+        "taken_detections": 10,
+        "nats_of_refused_neighbours": None,
+        "refused_neighbours": 0,
+        "weight": 0.4,
+    }
+
+
+def test_appearance_of_segments_is_that_of_the_video(tmp_path: Path) -> None:
+    """Numbers add up, means are weighted; of lists each segment has its own frames."""
+    parts = [
+        (Segment(1, 14, 1), segment(tmp_path / "a", [(5, 1, 0, "")], 14)),
+        (Segment(7, 0, 11), segment(tmp_path / "b", [(15, 1, 0, "")], 14)),
+        (Segment(20, 0, 22), segment(tmp_path / "c", [], 14)),
+    ]
+    pairs, apart, frames = (30, 0, None), (1.0, None, None), ((9, 12), (10, 11, 12), ())
+    for k, (_, folder) in enumerate(parts):
+        about = json.loads((folder / "run.json").read_text())
+        if pairs[k] is not None:
+            about["appearance"] = worth(pairs[k], apart[k])
+            about["identities_given_back"] = [
+                {"identity": 7, "last_frame": 1, "frame": frame, "odds": 9.0} for frame in frames[k]
+            ]
+            about["identities_exchanged"] = [{"identities": [1, 2], "frame": 11, "odds": 2.0}]
+        (folder / "run.json").write_text(json.dumps(about))
+    about = join(parts, claim(tmp_path / "all", False))
+    assert about["appearance"] == worth(30, 1.0) | {"taken_detections": 20}
+    back = [(one["frame"], one["segment"]) for one in about["identities_given_back"]]
+    assert back == [(9, 1), (11, 2), (12, 2)]
+    assert [one["segment"] for one in about["identities_exchanged"]] == [2]
+    kept = json.loads((tmp_path / "all" / "run.json").read_text())
+    assert kept["identities_given_back"] == about["identities_given_back"]
+
+
+def test_segments_without_appearance_have_no_lists(tmp_path: Path) -> None:
+    folder = segment(tmp_path / "a", [(5, 1, 0, "")], 14)
+    about = join([(Segment(1, 0, 1), folder)], claim(tmp_path / "all", False))
+    assert not {"appearance", "identities_given_back"} & set(about)
+
+
 def test_segments_match_identities_of_one_class(
     tmp_path: Path,
 ) -> None:

@@ -14,6 +14,7 @@ from phdtrack.kernels.appearance import (
     Law,
     Looks,
     Pasts,
+    besides,
     free_parts,
     likeness,
     plain,
@@ -260,6 +261,23 @@ def test_free_parts_of_boxes_side_by_side_and_inside():
     np.testing.assert_allclose(free_parts(boxes), [0.5, 1 - 0.72, 0, 0])
 
 
+@settings(max_examples=60)
+@given(SEEDS, st.integers(0, 8))
+def test_who_is_beside_whom_is_the_nearest_that_nearly_touches(seed: int, n: int):
+    rng = np.random.default_rng(seed)
+    corner = rng.uniform(0, 100, (n, 2))
+    boxes = np.hstack([corner, corner + rng.uniform(10, 60, (n, 2))])
+    centre = boxes[:, :2] + boxes[:, 2:]
+    size = boxes[:, 2:] - boxes[:, :2]
+    for i, found in enumerate(besides(boxes).tolist()):
+        apart = [
+            max(abs(centre[i] - centre[j]) / (size[i] + size[j])) if i != j else np.inf
+            for j in range(n)
+        ]
+        nearest = int(np.argmin(apart))
+        assert found == (nearest if apart[nearest] < 1.25 else -1)
+
+
 @settings(max_examples=12)
 @given(SEEDS, st.integers(1, 4), st.sampled_from([1, 3, 16]), st.sampled_from([20.0, 3000.0]))
 def test_lessons_are_their_definition(seed: int, people: int, size: int, most: float):
@@ -270,7 +288,7 @@ def test_lessons_are_their_definition(seed: int, people: int, size: int, most: f
     own = rng.normal(0, 1, (people, size)) + 1
     school = twin.School(SPANS, PAUSE, LEAST_FREE, most)
     followed = nobody(size)
-    lessons = Lessons(np.zeros(6), np.zeros(3), np.zeros(6), np.zeros(6))
+    lessons = Lessons(*map(np.zeros, (6, 3, 6, 6, 2)))
     time = 0.0
     memory = rng.uniform(1, 5)
     mean = (own.mean(axis=0) / 3).astype(np.float32)
@@ -290,7 +308,9 @@ def test_lessons_are_their_definition(seed: int, people: int, size: int, most: f
             law=a_law(rng),
             time=time,
             memory=memory,
+            beside=np.where(rng.random(people) < 0.5, (np.arange(people) + 1) % people, -1),
         )
+        looks.beside[looks.beside == np.arange(people)] = -1
         sure = np.flatnonzero(rng.random(people) < 0.97)
         had = np.where(rng.random(len(sure)) < 0.8, sure, -1)
         table = np.stack([10 + sure, had], axis=1)
@@ -326,7 +346,7 @@ def check_followed(followed: Followed, school: twin.School, memory: float) -> No
 @pytest.mark.parametrize("sure", [[], [[3, -1]], [[3, 0]]])
 def test_one_target_alone_teaches_nothing_of_others(sure: list, rng: np.random.Generator):
     looks = a_frame(rng, 1, 4)._replace(free=np.ones(1))
-    lessons = Lessons(np.zeros(6), np.zeros(3), np.zeros(6), np.zeros(6))
+    lessons = Lessons(*map(np.zeros, (6, 3, 6, 6, 2)))
     table = np.array(sure, np.int64).reshape(-1, 2)
     rules = (SPANS, PAUSE, LEAST_FREE, 3000.0)
     followed, after = taught(tuple(nobody(4)), tuple(lessons), table, plain(looks), rules)

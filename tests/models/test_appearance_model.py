@@ -88,9 +88,9 @@ def test_a_difference_within_its_error_is_worth_nothing():
     """What is left of the squared difference without its variance, and 0 below that."""
     for difference, expected in ((-0.1, 0.0), (0.1, 0.0), (0.2, 0.5), (0.4, 0.875), (2.0, 0.995)):
         # Five lessons count as one: 5 · (0.1/50 + 0.1/50) is 0.02.
-        found = worth_of((50.0, difference, 0.1), (50.0, 0.0, 0.1), 0.0)
+        found = worth_of((50.0, difference, 0.1), (50.0, 0.0, 0.1), 0.0, 5.0)
         assert found == pytest.approx(expected, abs=1e-9)
-    assert worth_of((50.0, 2.0, 0.1), (80.0, 0.0, 0.0), 50.0) == pytest.approx(0.5, abs=2e-3)
+    assert worth_of((50.0, 2.0, 0.1), (80.0, 0.0, 0.0), 50.0, 5.0) == pytest.approx(0.5, abs=2e-3)
 
 
 def test_one_object_alone_teaches_nothing(rng: np.random.Generator):

@@ -184,6 +184,7 @@ class School:
     other: np.ndarray = field(default_factory=lambda: np.zeros(3))
     single: np.ndarray = field(default_factory=lambda: np.zeros(6))
     means: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    beside: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
     def frame(self, sure: np.ndarray, looks) -> None:
         """Learn from a frame; those that are not ``sure`` (K, 2) are forgotten."""
@@ -197,6 +198,7 @@ class School:
         for label, j in good:
             if label in learners:
                 self._lessons(label, j, looks)
+                self._meeting(label, j, sure, looks)
         for label, j in good:
             self._singles(self.people[label], j, looks, label in learners)
             self._seen(self.people[label], j, looks)
@@ -232,6 +234,22 @@ class School:
         for s, seconds in lessons:
             x = max(math.log(seconds / SOON), 0.0)
             self.same += np.array([1, x, x * x, s, x * s, s * s]) / parts
+
+    def _meeting(self, label: int, j: int, sure: np.ndarray, looks) -> None:
+        """Whether detection j looks like the target beside it, by Bayes' rule."""
+        for other in sure[sure[:, 1] == looks.beside[j], 0].tolist():
+            if looks.beside[j] < 0 or not (self.people[label].seen and self.people[other].seen):
+                continue
+            law = looks.law
+            ratios = []
+            for name in (label, other):
+                mean = direction(self.people[name].mean(looks.memory), looks.mean)
+                s = float(mean @ looks.seen[j])
+                ratios.append(gain(s, law.same, law.same_deviation, law.other, law.other_deviation))
+            share = (self.beside[1] + 0.4) / (self.beside[0] + 40)
+            log_odds = math.log(share / (1 - share)) + ratios[1] - ratios[0]
+            self.beside *= 1 - 1 / self.most
+            self.beside += [1, 1 / (1 + math.exp(-max(log_odds, -100)))]
 
     def _singles(self, one: Person, j: int, looks, learns: bool) -> None:
         for k, span in enumerate(self.spans):

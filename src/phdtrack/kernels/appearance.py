@@ -162,7 +162,8 @@ def _gain(
 @njit(**INLINED)
 def similarity_gain(similarity: float, law: Law) -> float:
     """log p(s | the same object)/p(s | another object) [APP (1)]."""
-    return _gain(similarity, law.same, law.same_deviation, law.other, law.other_deviation)
+    gain: float = _gain(similarity, law.same, law.same_deviation, law.other, law.other_deviation)
+    return gain
 
 
 @njit(**INLINED)

@@ -119,7 +119,7 @@ def _trust(changed: float) -> float:
     meet have ``changed``, as of `changed_share`.
 
     If looks change places at a meeting with probability ε, then all that two targets look like
-    after it is worth no more than log (1 − ε)/ε.
+    after it is worth no more than log (1 − ε)/ε [APP (7)].
     """
     if changed <= USUAL_CHANGED:
         return 1.0

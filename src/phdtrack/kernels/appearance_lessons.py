@@ -234,7 +234,7 @@ def _teach_beside(
     out: Followed, known: F4, looks: Looks, at: tuple[int, I8], beside: F8, most: float
 ) -> None:
     """Learn whether a target that is beside another one has changed looks with it, ``at`` =
-    (a, sure): with the probability that this is the case by what is known so far [APP (5)].
+    (a, sure): with the probability that this is the case by what is known so far [APP (7)].
     """
     a, sure = at
     j = sure[a, 1]
@@ -247,10 +247,11 @@ def _teach_beside(
             fits = similarity_gain(similarity_of(known, a, looks.seen, j), law)
             crossed = similarity_gain(similarity_of(known, b, looks.seen, j), law)
             share = changed_share(beside)
-            changed = share * math.exp(crossed - fits)
+            # More would overflow.
+            unchanged = (1.0 - share) * math.exp(min(fits - crossed, 100.0))
             _forget(beside, most)
             beside[0] += 1.0
-            beside[1] += changed / (changed + 1.0 - share)
+            beside[1] += share / (share + unchanged)
 
 
 @njit(**INNER)

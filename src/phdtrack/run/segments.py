@@ -37,6 +37,17 @@ _EACH_A_SECOND = Clock.constant(1.0)
 # Parts of the first segment's run.json that hold for the video.
 _KEPT = ("title", "versions", "seed", "source", "configuration")
 
+# Lists of run.json with an entry for each identity that was given back or exchanged.
+_IDENTITY_LISTS = ("identities_given_back", "identities_exchanged")
+# Means in the appearance of run.json, and the numbers of what they are of.
+_WEIGHTED_BY = {
+    "seconds_apart": "pairs_of_one_object",
+    "told_apart": "pairs_of_two_objects",
+    "nats_of_taken_detections": "taken_detections",
+    "nats_of_refused_neighbours": "refused_neighbours",
+    "weight": "pairs_of_one_object",
+}
+
 
 class Segment(NamedTuple):
     """A part of a video: the frames ``first`` … ``last`` (0: the end) are tracked, and their rows
@@ -175,6 +186,10 @@ def join(parts: Sequence[tuple[Segment, Path]], directory: rundir.RunDirectory) 
             rows += len(own)
     _join_embeddings(parts, ends, directory)
     document = _document(parts, runs) | {"tracks": used, "track_rows": rows}
+    document |= _appearance([run.get("appearance") for run in runs])
+    for name in _IDENTITY_LISTS:
+        if "appearance" in document:
+            document[name] = _numbered(parts, ends, [run.get(name, []) for run in runs])
     return finish_document(document, directory)
 
 
@@ -225,6 +240,40 @@ def _document(
         "doubtful_boxes": _doubtful([run.get("doubtful_boxes") for run in runs]),
         "segments": [{**part._asdict(), "directory": str(folder)} for part, folder in parts],
     }
+
+
+def _appearance(parts: Sequence[Any]) -> dict[str, Any]:
+    """The worth of appearance in all segments that have it, each number weighted by what it is the
+    mean of; nothing if none has it.
+    """
+    known = [part for part in parts if part is not None]
+    if not known:
+        return {}
+    pooled = {
+        name: sum(part[name] for part in known)
+        for name in known[0]
+        if name in _WEIGHTED_BY.values()
+    }
+    for name, count in _WEIGHTED_BY.items():
+        those = [part for part in known if part[name] is not None and part[count]]
+        total = sum(part[count] for part in those)
+        mean = sum(part[count] * part[name] for part in those) / total if total else None
+        pooled[name] = mean
+    return {"appearance": {name: pooled.get(name, value) for name, value in known[0].items()}}
+
+
+def _numbered(
+    parts: Sequence[tuple[Segment, Path]], ends: Sequence[float], lists: Sequence[Any]
+) -> list[dict[str, Any]]:
+    """The entries of lists of all segments whose ``frame`` is of the segment, with its number from
+    1: an identity is that of its own online rows.
+    """
+    return [
+        {**each, "segment": number}
+        for number, ((part, _), end, entries) in enumerate(zip(parts, ends, lists, strict=True), 1)
+        for each in entries
+        if part.begin <= each["frame"] < end
+    ]
 
 
 def _doubtful(parts: Sequence[Any]) -> Any:
