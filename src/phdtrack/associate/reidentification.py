@@ -21,7 +21,7 @@ import numpy as np
 
 from phdtrack.kernels.appearance import Looks, likeness, plain
 from phdtrack.kernels.identities import LABELS, Seen, identities_after, nobody
-from phdtrack.models.returns import log_odds
+from phdtrack.models.returns import Rates, among, log_odds, returning_share
 from phdtrack.types import F8, I8, Bool, Estimates, Exchange, Return
 
 # Detections of a new target from which on it is compared, and seconds until which it is.
@@ -73,6 +73,7 @@ class Returns:
     extent : left, top, right and bottom of all boxes so far.
     begun, time : seconds of the first and of the last frame.
     confirmed : targets confirmed since the first.
+    back : how many of these are lost ones that came back, as expected when each was first compared.
     """
 
     seen: Seen = field(default_factory=lambda: nobody(0))
@@ -85,6 +86,7 @@ class Returns:
     begun: float = math.nan
     time: float = math.nan
     confirmed: int = 0
+    back: float = 0.0
 
 
 class Names(NamedTuple):
@@ -118,7 +120,12 @@ def reidentified(
         return state, change
     swapped = exchanges(state, shown, frame, names)
     state = exchanged(state, swapped)
-    pairs = given_back(state, looks) if shown.undecided else []
+    found = compared(state, looks) if shown.undecided else None
+    if found is None:
+        pairs = []
+    else:
+        pairs = _given(state, found)
+        state = replace(state, back=state.back + expected_back(state, found))
     for each in swapped:
         change |= zip(each.labels, each.identities[::-1], strict=True)
     for pair in pairs:
@@ -193,6 +200,7 @@ def remembering(
         begun,
         time,
         state.confirmed + counts[0],
+        state.back,
     )
     return after, Shown(pair, odds, *counts[1:])
 
@@ -329,8 +337,18 @@ def _met_of_both(met: dict[int, float], a: int, b: int) -> dict[int, float]:
     return more
 
 
-def given_back(state: Returns, looks: Looks) -> list[Return]:
-    """The identities that the targets of a frame take again [APP (5)]."""
+class Compared(NamedTuple):
+    """New targets ``new`` (n,), by their places in `Returns.seen`, and the ``odds`` (n, m) of each
+    to be one of those ``lost``.
+    """
+
+    new: I8
+    lost: Seen
+    odds: F8
+
+
+def compared(state: Returns, looks: Looks) -> Compared | None:
+    """The new targets of a frame, compared with all lost ones; None without any."""
     seen = state.seen
     time = state.time
     new = np.flatnonzero(
@@ -341,12 +359,30 @@ def given_back(state: Returns, looks: Looks) -> list[Return]:
         & (time - seen.first <= UNDECIDED)
     )
     if not len(new) or looks.law.means_weight <= 0:
-        return []
-    gone = seen.select(~seen.alive & (seen.identity > 0))
-    lost = state.lost.followed_by(gone)
+        return None
+    lost = state.lost.followed_by(seen.select(~seen.alive & (seen.identity > 0)))
     if not len(lost.label):
-        return []
-    odds = _odds(state, new, lost, looks)
+        return None
+    return Compared(new, lost, _odds(state, new, lost, looks))
+
+
+def expected_back(state: Returns, found: Compared) -> float:
+    """How many of the targets that are compared for the first time are lost ones, as expected."""
+    first = state.seen.detections[found.new] == LEAST_SEEN
+    each = found.odds[first].sum(axis=1)
+    return float((each / (1 + each)).sum())
+
+
+def given_back(state: Returns, looks: Looks) -> list[Return]:
+    """The identities that the targets of a frame take again [APP (5)]."""
+    found = compared(state, looks)
+    return [] if found is None else _given(state, found)
+
+
+def _given(state: Returns, found: Compared) -> list[Return]:
+    """`given_back` to the targets that were compared."""
+    seen = state.seen
+    new, lost, odds = found.new, found.lost, found.odds.copy()
     total = 1.0 + odds.sum(axis=1)
     out = list[Return]()
     while True:
@@ -361,7 +397,7 @@ def given_back(state: Returns, looks: Looks) -> list[Return]:
                 int(seen.label[i]),
                 int(lost.identity[b]),
                 float(share / (1 - share)),
-                time,
+                state.time,
                 tuple(lost.ended[b].tolist()),
                 tuple(seen.began[i].tolist()),
             )
@@ -378,11 +414,15 @@ def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
     mean = np.concatenate([lost.mean, seen.mean[new]])
     number = np.concatenate([lost.number, seen.number[new]])
     ratio = likeness(mean, number, b, len(lost.label) + a, plain(looks))
+    ratio = among(ratio, state.confirmed)
     left, top, right, bottom = state.extent
     area = max((right - left) * (bottom - top), 1.0)
     # Those that came back are not new.
-    births = max(state.confirmed - len(state.pairs), 1) / max(state.time - state.begun, 1.0)
-    prior = log_odds(gap.ravel(), lost.xyxy[b], seen.xyxy[new][a], births, area)
+    rates = Rates(
+        max(state.confirmed - state.back, 1.0) / max(state.time - state.begun, 1.0),
+        returning_share(state.back, len(state.pairs) + len(lost.label)),
+    )
+    prior = log_odds(gap.ravel(), lost.xyxy[b], seen.xyxy[new][a], rates, area)
     odds: F8 = np.exp(prior + ratio).reshape(gap.shape)
     odds[gap > looks.law.within] = 0.0
     return odds

@@ -11,6 +11,7 @@ with ℓ the log-likelihood ratio of what both look like.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,20 +20,46 @@ from phdtrack.types import F8
 # The probability that a target that ends comes back, and the mean seconds until then.
 RETURN = 0.5
 RETURN_TIME = 30.0
+# Ended targets that this probability counts for.
+PRIOR_ENDED = 40.0
+# The probability that a target looks like another one of those of the stream.
+TWINS = 0.1
 # The part of those that come back that do so near where they were lost, and how fast what is known
 # of their place fades, in heights of the box a second.
 NEARBY = 0.5
 DRIFT = 1.0
 
 
-def log_odds(gap: F8, lost: F8, new: F8, births: float, area: float) -> F8:
+class Rates(NamedTuple):
+    """How often targets are new and come back.
+
+    ``births``: new targets a second. ``back``: the probability that one that ends comes back.
+    """
+
+    births: float
+    back: float
+
+
+def returning_share(back: float, ended: int) -> float:
+    """The probability that a target that ends comes back, if ``back`` of those that ended did."""
+    return (back + PRIOR_ENDED * RETURN) / (ended + PRIOR_ENDED)
+
+
+def among(ratio: F8, people: int) -> F8:
+    """(P,) log-likelihood ratios of looks, if some of so many targets look like another one."""
+    twin = min(TWINS / max(people, 1), 1.0)
+    out: F8 = -np.log((1 - twin) * np.exp(-ratio) + twin)
+    return out
+
+
+def log_odds(gap: F8, lost: F8, new: F8, rates: Rates, area: float) -> F8:
     """(P,) the logarithm of these odds without ℓ; −∞ where the new target was there before.
 
     Parameters
     ----------
     gap : (P,) seconds from the last detection of the lost target to the first of the new one.
     lost, new : (P, 4) the boxes of both.
-    births : new targets a second.
+    rates : how often targets are new and come back.
     area : pixels² in which targets appear.
     """
     height = lost[:, 3] - lost[:, 1]
@@ -41,6 +68,6 @@ def log_odds(gap: F8, lost: F8, new: F8, births: float, area: float) -> F8:
     variance = (height * (0.5 + DRIFT * apart)) ** 2
     near = np.exp(-0.5 * (step**2).sum(axis=1) / variance) / (2 * math.pi * variance)
     place = NEARBY * near * area + 1 - NEARBY
-    back = RETURN / RETURN_TIME * np.exp(-apart / RETURN_TIME) * place / births
+    back = rates.back / RETURN_TIME * np.exp(-apart / RETURN_TIME) * place / rates.births
     out: F8 = np.where(gap > 0, np.log(np.maximum(back, 1e-300)), -np.inf)
     return out

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels.association import best_pairs
-from phdtrack.models.returns import log_odds
+from phdtrack.models.returns import RETURN, Rates, among, log_odds
 from phdtrack.models.rts import predict
 from phdtrack.smooth.looks import SequenceLooks
 from phdtrack.smooth.paths import Paths, joined
@@ -203,7 +203,7 @@ def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tup
     extent = boxes[paths.measurement[paths.measurement >= 0]]
     size = extent[:, 2:].max(axis=0) - extent[:, :2].min(axis=0)
     area = max(float(size.prod()), 1.0)
-    births = len(paths) / max(float(time[-1] - time[0]), 1.0)
+    rates = Rates(len(paths) / max(float(time[-1] - time[0]), 1.0), RETURN)
     # What looks like nothing in particular is left to the motion.
     law = ends.looks.frame.law
     ended = (ends.number[: len(paths)] > 0) & (law.means_weight > 0)
@@ -215,8 +215,8 @@ def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tup
         before, column = np.nonzero(ended[:, None] & (gap > 0) & (gap <= law.within))
         after = block[column]
         gaps = gap[before, column]
-        odds = log_odds(gaps, boxes[last[before]], boxes[first[after]], births, area)
-        odds += ends.likeness(before, after)
+        odds = log_odds(gaps, boxes[last[before]], boxes[first[after]], rates, area)
+        odds += among(ends.likeness(before, after), len(paths))
         kept = odds > 0
         good.append((before[kept], after[kept], odds[kept]))
     if not good:
