@@ -49,6 +49,8 @@ LEFT_OUT = 0.03
 # Seconds within which identities are given back; 0: as long as the odds allow.
 LIMITS = (0.1, 0.0)
 OUTPUTS = ("online", "corrected")
+# Points of IDF1 that colours may cost a video if `track VIDEO` is to use them unasked.
+WORST_LOSS = 0.5
 # HOTA and IDF1 of online and corrected rows.
 PictureScores = tuple[tuple[float, float], tuple[float, float]]
 
@@ -268,4 +270,28 @@ def videos_section(options: Options) -> str:
     ]
     rows.append(["mean of kinds", "", *(f"{a:.1f} → {b:.1f}" for a, b in zip(*means, strict=True))])
     header = ("video", "kind", "HOTA, online", "IDF1, online", "HOTA, corrected", "IDF1, corrected")
-    return filled("appearance_videos", table=table(header, rows))
+    verdict = videos_verdict(
+        [video.name for video in videos],
+        np.array([found[video, COLOURS] for video in videos])
+        - np.array([found[video, NONE] for video in videos]),
+        np.subtract(means[1], means[0]),
+    )
+    return filled("appearance_videos", table=table(header, rows), verdict=verdict)
+
+
+def videos_verdict(names: Sequence[str], gains: F8, means: F8) -> str:
+    """Whether colours pay on videos, in a sentence or two.
+
+    Parameters
+    ----------
+    names, gains : of V videos, and what colours gain (V, 4), as of `video_scores`.
+    means : (4,) the mean gain.
+    """
+    video, output = np.unravel_index(int(gains[:, 1::2].argmin()), (len(names), 2))
+    worst = float(gains[video, 1 + 2 * output])
+    pays = bool((means[1::2] > 0).all()) and worst >= -WORST_LOSS
+    return (
+        f"With colours IDF1 {means[1]:+.1f} online and {means[3]:+.1f} corrected; the worst video"
+        f" is {worst:+.1f} ({names[video]}, {OUTPUTS[output]}). So `track VIDEO` "
+        + ("would gain by colours." if pays else "uses no colours unless it is asked for.")
+    )

@@ -32,7 +32,17 @@ from phdtrack.associate.reidentification import (
 from phdtrack.associate.reidentification import given_back as given_back_by
 from phdtrack.kernels.appearance import UNKNOWN, Looks
 from phdtrack.kernels.identities import nobody
-from phdtrack.models.returns import NEARBY, RETURN, RETURN_TIME, log_odds
+from phdtrack.models.returns import (
+    NEARBY,
+    PRIOR_ENDED,
+    RETURN,
+    RETURN_TIME,
+    TWINS,
+    Rates,
+    among,
+    log_odds,
+    returning_share,
+)
 from phdtrack.models.track_returns import with_returns
 from phdtrack.protocols import Associator
 from phdtrack.state import from_bytes, to_bytes
@@ -348,11 +358,55 @@ def test_odds_are_by_bayes_rule(rng: np.random.Generator):
     deviation = 60 * (0.5 + gap)
     near = np.exp(-((apart / deviation) ** 2) / 2) / (2 * math.pi * deviation**2)
     place = NEARBY * near + (1 - NEARBY) / 5e4
-    back = RETURN * np.exp(-gap / RETURN_TIME) / RETURN_TIME * place
-    odds = log_odds(gap, lost, new, 0.2, 5e4)
+    back = 0.3 * np.exp(-gap / RETURN_TIME) / RETURN_TIME * place
+    rates = Rates(0.2, 0.3)
+    odds = log_odds(gap, lost, new, rates, 5e4)
     np.testing.assert_allclose(odds, np.log(back / (0.2 / 5e4)), rtol=1e-9)
-    assert (np.diff(log_odds(np.array([1.0, 5, 50]), lost[:3], lost[:3], 0.2, 5e4)) < 0).all()
-    assert np.isneginf(log_odds(np.array([0.0, -1.0]), lost[:2], new[:2], 0.2, 5e4)).all()
+    assert (np.diff(log_odds(np.array([1.0, 5, 50]), lost[:3], lost[:3], rates, 5e4)) < 0).all()
+    assert np.isneginf(log_odds(np.array([0.0, -1.0]), lost[:2], new[:2], rates, 5e4)).all()
+
+
+def test_looks_alone_say_no_more_than_that_some_look_alike():
+    """However alike two look: one of those who were there may be a twin. Little evidence stays."""
+    ratio = np.array([-3.0, 0.0, 1.0, 6.0, 60.0])
+    found = among(ratio, 5)
+    twin = TWINS / 5
+    np.testing.assert_allclose(found, np.log(1 / ((1 - twin) * np.exp(-ratio) + twin)))
+    assert found[-1] == pytest.approx(math.log(50))
+    assert found[1] == 0
+    assert (among(ratio, 1000)[1:] >= found[1:]).all()
+    assert among(ratio, 1000)[3] > 5
+
+
+def test_the_share_that_comes_back_is_learned():
+    assert returning_share(0.0, 0) == RETURN
+    assert returning_share(0.0, 1000) < 0.05
+    assert returning_share(900.0, 1000) > 0.85
+    assert returning_share(0.0, int(PRIOR_ENDED)) == pytest.approx(RETURN / 2)
+
+
+def test_those_that_probably_came_back_are_no_births():
+    """Each counts once, with its probability when it is first compared, given back or not."""
+    views = np.eye(4, D)
+    state = Returns()
+    for k in range(30):
+        state = after(state, [0, 1, 2], views[:3], k + 1, 0.1 * k)
+    for k in range(30, 60):
+        state = after(state, [1, 2], views[1:3], k + 1, 0.1 * k)
+    assert state.back == 0
+    for k in range(60, 63):
+        state = after(state, [1, 2, 3], views[[1, 2, 0]], k + 1, 0.1 * k)
+    looks = looks_at(6.2)
+    found = reidentification.compared(state, looks)
+    assert found is not None
+    total = found.odds.sum()
+    expected = reidentification.expected_back(state, found)
+    assert expected == pytest.approx(total / (1 + total))
+    assert expected > 0.2
+    later = after(state, [1, 2, 3], views[[1, 2, 0]], 64, 6.3)
+    found = reidentification.compared(later, looks_at(6.3))
+    assert found is not None
+    assert reidentification.expected_back(later, found) == 0
 
 
 def looks_at(time: float, raw: np.ndarray | None = None) -> Looks:

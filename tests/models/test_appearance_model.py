@@ -93,6 +93,46 @@ def test_a_difference_within_its_error_is_worth_nothing():
     assert worth_of((50.0, 2.0, 0.1), (80.0, 0.0, 0.0), 50.0, 5.0) == pytest.approx(0.5, abs=2e-3)
 
 
+def test_looks_that_change_places_where_targets_meet_say_nothing(rng: np.random.Generator):
+    """Neither of pairs nor of means; a few changes say little, as do many meetings without any."""
+    lessons = taught_by(views(rng, one_of_each(6), 60, 0.3)).lessons
+    laws = {
+        changed: RULE.law(lessons._replace(beside=np.array([100.0, changed])))
+        for changed in (0.0, 1.0, 2.5, 30.0)
+    }
+    usual = RULE.law(lessons)
+    assert laws[0.0] == laws[1.0] == usual
+    assert usual.weight > 0.3
+    assert usual.means_weight > 0.3
+    # Of 140 lessons 2.9 have changed, so 26 % of meetings; usually it is an eighth.
+    part = math.log(1 / (2.9 / 140 / 0.08) - 1) / math.log(7)
+    assert laws[2.5].weight == pytest.approx(part * usual.weight)
+    assert laws[2.5].means_weight == pytest.approx(part * usual.means_weight)
+    assert laws[30.0].weight == laws[30.0].means_weight == 0
+
+
+@pytest.mark.parametrize("swaps", [False, True])
+def test_a_stream_shows_whether_looks_change_places(swaps: bool, rng: np.random.Generator):
+    """Two meet again and again, and after each meeting one has the look of the other for a while,
+    or each keeps its own.
+    """
+    people = rng.normal(0, 1, (4, D))
+    state = RULE.start()
+    for k in range(600):
+        apart = 60 if k % 60 < 30 else 46
+        place = np.array([0.0, apart, 300, 600])
+        xyxy = np.stack([place, 0 * place, place + 40, 0 * place + 100], axis=1)
+        shown = people[[1, 0, 2, 3]] if swaps and k % 60 in range(30, 50) else people
+        seen = shown + rng.normal(0, 0.3, shown.shape)
+        found = Detections.of(xyxy, embeddings=seen.astype(np.float32))
+        state, looks = RULE.looks(state, found, 0.1 * k)
+        state = RULE.advance(state, np.stack([np.arange(4)] * 2, axis=1), looks)
+    law = RULE.law(state.lessons)
+    assert state.lessons.beside[0] > 50
+    assert (law.weight == 0) == swaps
+    assert swaps or law.weight > 0.4
+
+
 def test_one_object_alone_teaches_nothing(rng: np.random.Generator):
     """There is no other one to tell it from."""
     state = taught_by(views(rng, one_of_each(1), 60, 0.3))

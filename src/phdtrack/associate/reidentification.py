@@ -135,7 +135,7 @@ def reidentified(
 
 
 class Shown(NamedTuple):
-    """What a frame has shown of identities.
+    """Evidence of a frame on identities.
 
     ``pair``, ``odds`` (n,): the pairs of targets that probably have exchanged theirs, as of
     `kernels.identities.met_after`, and the log odds of that. ``undecided``: how many targets may be

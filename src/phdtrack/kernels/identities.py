@@ -131,7 +131,7 @@ def identities_after(
     looks: Looks,
     rules: tuple[Any, ...],
 ) -> tuple[Any, ...]:
-    """What is known of identities after a frame.
+    """The knowledge of identities after a frame.
 
     Parameters
     ----------

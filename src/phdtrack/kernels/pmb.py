@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels import F8, I8, Bool, Records
+from phdtrack.kernels import F4, F8, I8, Bool, Records
 from phdtrack.kernels.appearance import (
     Looks,
     Pasts,
@@ -286,7 +286,6 @@ def updated_layer(
     scores = Scores(*scores)
     s = Settings(*s)
     jumps = Jumps(*jumps)
-    pasts, looks = Pasts(*appearance[0]), named(appearance[1])
     targets, hypotheses, mean, covariance = layer
     count = len(targets)
     p_detect, visible, tails, genuine = _detection_terms(hypotheses, e.p_detect, s)
@@ -309,14 +308,12 @@ def updated_layer(
     # Associate
     exists = np.empty(count)
     measured = np.empty((3, len(m.z)))
-    seen_before = past_directions(pasts, looks)
-    ratio = pair_ratios(pairs, hypotheses, pasts, looks, seen_before)
-    verdicts = np.empty(count if len(looks.mean) > 0 else 0, np.int64)
+    looked, compared = _compared(appearance, pairs, hypotheses, count)
     born, vanished, started = _associate(
         (targets, hypotheses, p_detect),
         genuine,
         pairs,
-        (ratio, verdicts),
+        compared,
         exists,
         m.clutter,
         new.density,
@@ -347,18 +344,39 @@ def updated_layer(
     exists[kept > 0] = 0.0
     # Add the new targets
     k, mass = _write_new(measured[2], (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
-    if len(looks.free) > 0:
-        pasts = pasts_after(out.hypotheses[:k], pasts, looks, seen_before)
-    learned = born + predicted, born, mass, measured[0], measured[1], vanished, detected
     return (
         Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k]),
-        learned,
+        (born + predicted, born, mass, measured[0], measured[1], vanished, detected),
         gone[:lost],
         exists,
         counted,
-        _sure(targets, verdicts),
-        pasts,
+        _sure(targets, compared[1]),
+        _pasts(looked, out.hypotheses[:k]),
     )
+
+
+@njit(**INNER)
+def _compared(
+    appearance: tuple[Pasts, Looks], pairs: Records, hypotheses: Records, count: int
+) -> tuple[tuple[Pasts, Looks, tuple[F4, F4]], tuple[F8, I8]]:
+    """The pasts, the looks, and the directions of the pasts; the log-likelihood ratios of the
+    pairs, and room for `write_verdicts` on ``count`` targets, both (0,) where nothing is known.
+    """
+    pasts = Pasts(*appearance[0])
+    looks = named(appearance[1])
+    before = past_directions(pasts, looks)
+    ratio = pair_ratios(pairs, hypotheses, pasts, looks, before)
+    verdicts = np.empty(count if len(looks.mean) > 0 else 0, np.int64)
+    return (pasts, looks, before), (ratio, verdicts)
+
+
+@njit(**INNER)
+def _pasts(looked: tuple[Pasts, Looks, tuple[F4, F4]], hypotheses: Records) -> Pasts:
+    """The pasts of the updated hypotheses; those of before where nothing is seen."""
+    pasts, looks, before = looked
+    if len(looks.free) > 0:
+        pasts = pasts_after(hypotheses, pasts, looks, before)
+    return pasts
 
 
 @njit(**INNER)

@@ -5,7 +5,8 @@ was lost, by a Gaussian that widens with the time Δ, or anywhere. Its odds agai
 
     p_R/τ exp(−Δ/τ) · p(place | Δ) / (births per second and unit of area) · exp ℓ
 
-with ℓ the log-likelihood ratio of what both look like.
+with ℓ the log-likelihood ratio of what both look like, if another target may look the same
+(`among`). How many come back is learned (`returning_share`).
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ import numpy as np
 
 from phdtrack.types import F8
 
-# The probability that a target that ends comes back, and the mean seconds until then.
+# The probability that a target that ends comes back, before any have, and the mean seconds until
+# then.
 RETURN = 0.5
 RETURN_TIME = 30.0
 # Ended targets that this probability counts for.
 PRIOR_ENDED = 40.0
-# The probability that a target looks like another one of those of the stream.
+# The probability that a target looks like another one of the stream.
 TWINS = 0.1
 # The part of those that come back that do so near where they were lost, and how fast what is known
 # of their place fades, in heights of the box a second.
@@ -41,7 +43,9 @@ class Rates(NamedTuple):
 
 
 def returning_share(back: float, ended: int) -> float:
-    """The probability that a target that ends comes back, if ``back`` of those that ended did."""
+    """The probability that a target that ends comes back, if ``back`` of those that ended did
+    [APP (5)].
+    """
     return (back + PRIOR_ENDED * RETURN) / (ended + PRIOR_ENDED)
 
 
