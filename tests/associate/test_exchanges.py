@@ -228,7 +228,7 @@ def test_a_target_takes_the_identity_of_a_lost_one():
     seen = state.seen._replace(
         first=np.array([0.0, 0, 8.9]), mean=own[[1, 0, 0]], detections=np.array([90, 90, 5])
     )
-    state = replace(state, seen=seen, extent=(0, 0, 100, 100), begun=0.0, confirmed=3)
+    state = replace(state, seen=seen, extent=(0, 0, 100, 100), begun=-100.0, confirmed=3)
     (back,) = given_back(state, looks_of())
     assert (back.earlier, back.later, back.identity) == (5, 7, 11)
 

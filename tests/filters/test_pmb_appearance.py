@@ -191,8 +191,8 @@ def test_verdicts_leave_no_doubt(seed: int, targets: int, n: int):
 
 def _all_free(*arguments: Any) -> tuple[Any, ...]:
     """`described`, as if no box covered another."""
-    unit, seen, mean, free, count = described(*arguments)
-    return unit, seen, mean, np.ones(len(free)), count
+    unit, seen, mean, free, *rest = described(*arguments)
+    return unit, seen, mean, np.ones(len(free)), *rest
 
 
 def test_hypotheses_of_a_target_have_pasts_of_their_own():

@@ -224,8 +224,9 @@ def test_looks_choose_what_a_track_is_joined_with(found: tuple[int, int], wanted
     assert names(whole, 140) == wanted
 
 
-def test_pairs_of_returns_name_their_detections():
-    """The last one before and the first one after."""
+def test_pairs_of_returns_name_their_detections(monkeypatch: pytest.MonkeyPatch):
+    """The last one before and the first one after, where nobody has a twin."""
+    monkeypatch.setattr("phdtrack.models.returns.TWINS", 1e-3)
     tracks, measurements = ends(0, (2, 0))
     paths = paths_of(tracks, measurements)
     assert returns(paths, Sequence.of(measurements, seen(model_of()))) == [((40, 0), (116, 1))]
