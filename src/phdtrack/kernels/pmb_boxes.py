@@ -135,7 +135,8 @@ def stepped_boxes(
     none = np.empty(0)
     unseen = np.empty((0, 0), np.float32)
     pasts = (unseen, none, none, none, unseen, none)
-    looks = (unseen, unseen, np.empty(0, np.float32), none, _LAW, 0.0, 1.0)
+    nobody = np.empty(0, np.int64)
+    looks = (unseen, unseen, np.empty(0, np.float32), none, _LAW, 0.0, 1.0, nobody)
     after, learned, gone, _, counted, _, _ = updated_layer(
         ahead, expected, m, new, scores, settings, fresh, jumps, (pasts, looks)
     )
