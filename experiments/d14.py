@@ -34,6 +34,7 @@ from experiments.d14_runs import (
     work,
 )
 from phdtrack.compare.statistics import interval
+from phdtrack.report.pages import counted
 from phdtrack.types import F8
 
 SEEDS = 20
@@ -297,8 +298,8 @@ def figures(found: CorridorErrors) -> dict[str, object]:
         "readings": d14_printed.readings_table(found.results, found.numbers, found.seeds),
         "ranges": ranges(found),
         "times": times(found),
-        "seeds": found.seeds,
-        "model_seeds": seeds_of("model", found.seeds),
+        "seeds": counted(found.seeds, "seed"),
+        "model_seeds": counted(seeds_of("model", found.seeds), "seed"),
         "high": found.numbers[-1],
         "paper_frames": INFOS["corridor"].frames,
         "gate": f"{GATE:g}",
