@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments import data
+from experiments import data as listed_data
 
 
 @pytest.fixture
@@ -21,13 +21,13 @@ def folder(tmp_path: Path) -> Path:
 
 def test_missing_and_changed_files_are_listed_with_their_source(folder: Path) -> None:
     listed = folder.parent / "files.csv"
-    data.write_list(folder, listed)
-    lines = data.compared(folder, listed)
+    listed_data.write_list(folder, listed)
+    lines = listed_data.compared(folder, listed)
     assert not any(line.startswith("  ") for line in lines)
-    assert len(lines) == len(data.SOURCES)
+    assert len(lines) == len(listed_data.SOURCES)
     (folder / "mot15/A/gt/gt.txt").unlink()
     (folder / "more/MOT17-09/gt/gt.txt").write_text("another")
-    text = "\n".join(data.compared(folder, listed))
+    text = "\n".join(listed_data.compared(folder, listed))
     assert f"missing: {folder / 'mot15/A/gt/gt.txt'}" in text
     assert "from https://motchallenge.net/data/MOT15/" in text
     assert f"not the file that the pages were made with: {folder / 'more/MOT17-09'}" in text
@@ -36,22 +36,24 @@ def test_missing_and_changed_files_are_listed_with_their_source(folder: Path) ->
 
 
 def test_every_file_of_the_list_has_a_source() -> None:
-    names = [line.split(",")[0] for line in data.LIST.read_text().splitlines()[1:]]
+    names = [line.split(",")[0] for line in listed_data.LIST.read_text().splitlines()[1:]]
     assert len(names) > 100
-    assert [name for name in names if data.source_of(name) is None] == []
-    assert {data.source_of(name) for name in names} == set(data.SOURCES)
+    assert [name for name in names if listed_data.source_of(name) is None] == []
+    assert {listed_data.source_of(name) for name in names} == set(listed_data.SOURCES)
 
 
 def test_a_folder_that_is_not_there_misses_everything(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setenv("PHDTRACK_DATA", str(tmp_path / "nowhere"))
-    assert data.main([]) == 1
+    assert listed_data.main([]) == 1
     said = capsys.readouterr().out
-    count = len(data.LIST.read_text().splitlines()) - 1
+    count = len(listed_data.LIST.read_text().splitlines()) - 1
     assert said.count("  missing: ") == count
 
 
 @pytest.mark.data
-def test_the_data_here_are_those_of_the_pages(capsys: pytest.CaptureFixture[str]) -> None:
-    assert data.main([]) == 0, capsys.readouterr().out
+def test_the_data_here_are_those_of_the_pages(
+    data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert listed_data.main([]) == 0, capsys.readouterr().out

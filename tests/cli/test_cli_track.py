@@ -15,7 +15,16 @@ from phdtrack.formats import read_detections, read_tracks
 from phdtrack.run import directory as rundir
 from phdtrack.video import VideoWriter, open_source
 
-FILES = {rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.REPORT, rundir.RUN}
+FILES = {
+    rundir.TRACKS,
+    rundir.ONLINE,
+    rundir.STATES,
+    rundir.DETECTIONS,
+    rundir.OBJECTS,
+    rundir.MINUTES,
+    rundir.REPORT,
+    rundir.RUN,
+}
 
 
 @pytest.fixture(scope="module")

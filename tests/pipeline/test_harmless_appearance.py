@@ -16,7 +16,7 @@ from phdtrack.simulate import Scene, make_scene
 from phdtrack.types import F4, F8, I8, Tracks
 from tracker_cases import equal
 
-SEEDS = (1, 2, 3)
+SEEDS = (1, 2, 3, 4, 5, 6)
 FRAMES = 200
 D = 16
 # MOTA and IDF1, online and corrected.
@@ -131,7 +131,12 @@ def figures(seed: int, name: str) -> Figures:
 
 def gains(name: str) -> np.ndarray:
     """(4,) mean gains over those without descriptors."""
-    return np.mean([np.subtract(figures(k, name), figures(k, "")) for k in SEEDS], axis=0)
+    return gains_of_seeds(name).mean(axis=0)
+
+
+def gains_of_seeds(name: str) -> np.ndarray:
+    """(seeds, 4) gains over those without descriptors."""
+    return np.array([np.subtract(figures(k, name), figures(k, "")) for k in SEEDS])
 
 
 def test_constant_descriptors_change_nothing():
@@ -151,8 +156,12 @@ def test_constant_looks_change_nothing_for_other_filters(filter_: str):
 
 @pytest.mark.parametrize("name", list(SOURCES)[1:-1])
 def test_wrong_descriptors_do_no_harm(name: str):
-    """Within 0.01 of none, or better."""
-    assert (gains(name) > -0.01).all()
+    """Within 0.003 of none, or better, as far as so many seeds can tell."""
+    each = gains_of_seeds(name)
+    error = each.std(axis=0, ddof=1) / np.sqrt(len(each))
+    assert (each.mean(axis=0) > -0.003 - 2 * error).all()
+    # Not by a large error alone.
+    assert (each.mean(axis=0) > -0.015).all()
 
 
 def test_right_descriptors_keep_identities():

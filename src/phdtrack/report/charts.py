@@ -256,7 +256,7 @@ def histogram_chart(values: F8, label: str) -> Picture:
 
 
 def visited_picture(record: RunRecord) -> Picture:
-    """Where the foot points of the tracks were, over the scene."""
+    """A map of where the foot points of the tracks were, over the scene."""
     info = record.info
     axes = _frame_axes(info)
     share = visited(record.tracks, info, _CELLS // 2)

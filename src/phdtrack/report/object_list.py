@@ -138,7 +138,12 @@ def minutes(found: Sequence[Seen], times: F8, track_count: I8, width: float) -> 
 
 
 def objects_csv(found: Sequence[Seen]) -> str:
-    """The objects as CSV: seconds with three decimals, pixels with one."""
+    """The objects as CSV: seconds with three decimals, pixels with one.
+
+    Parameters
+    ----------
+    found : the objects.
+    """
     head = ("identity", "class", "first", "last", "seconds", "boxes", "predicted", "distance")
     return _csv(
         (*head, "speed", "speed_in_heights"),
@@ -158,7 +163,12 @@ def objects_csv(found: Sequence[Seen]) -> str:
 
 
 def minutes_csv(rows: Sequence[Minute]) -> str:
-    """The minutes as CSV; ``start`` in seconds."""
+    """The minutes as CSV; ``start`` in seconds.
+
+    Parameters
+    ----------
+    rows : the minutes.
+    """
     return _csv(
         Minute._fields,
         [(f"{row.start:.3f}", row.objects, row.arrived, f"{row.mean:.2f}") for row in rows],
@@ -166,8 +176,13 @@ def minutes_csv(rows: Sequence[Minute]) -> str:
 
 
 def visited(tracks: Tracks, info: SequenceInfo, cells: int) -> F8:
-    """(h, w) share of the boxes whose foot point is in each cell of the frame, ``cells`` along its
-    longer side.
+    """(h, w) share of the boxes whose foot point is in each cell of the frame.
+
+    Parameters
+    ----------
+    tracks : rows, boxes in pixels.
+    info : size of the frame.
+    cells : along its longer side.
     """
     step = max(info.width, info.height) / cells
     shape = max(1, math.ceil(info.height / step)), max(1, math.ceil(info.width / step))

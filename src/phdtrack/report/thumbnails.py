@@ -103,7 +103,7 @@ class Thumbnails:
 
 
 def _cut_out(image: Image, box: F8) -> Image:
-    """What is in a box and a little around it, at most `_SIDE` pixels high and wide."""
+    """The content of a box and a little around it, at most `_SIDE` pixels high and wide."""
     x1, y1, x2, y2 = box
     margin = _MARGIN * np.array([x1 - x2, y1 - y2, x2 - x1, y2 - y1])
     edges = np.rint(box + margin).astype(np.int64)

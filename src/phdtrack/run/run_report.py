@@ -102,12 +102,7 @@ def write_report(
     with progress.writing():
         page = report_html(record, configuration | inputs)
         write_text(run.directory.file(rundir.REPORT), page)
-    if run.inputs.again:
-        # A source without end keeps its last frames only.
-        with progress.writing():
-            write_text(run.directory.file(rundir.OBJECTS), objects_csv(record.objects))
-            rows = minutes_csv(record.stretches(MINUTE))
-            write_text(run.directory.file(rundir.MINUTES), rows)
+    _write_objects(run, progress, record)
     complete = progress.ended is None
     document = run_document(record, configuration) | {"complete": complete} | inputs
     document |= _told(progress, record)
@@ -123,6 +118,17 @@ def write_report(
     summary += _asked(run, progress)
     unwritten = [str(error) for error in progress.unwritten if error is not progress.ended]
     return document, tuple(summary), (*about.warnings, *unwritten)
+
+
+def _write_objects(run: Run, progress: Progress, record: RunRecord) -> None:
+    """Write the objects and the minutes, unless the source has no end: then only its last frames
+    are known.
+    """
+    if run.inputs.again:
+        with progress.writing():
+            write_text(run.directory.file(rundir.OBJECTS), objects_csv(record.objects))
+            rows = minutes_csv(record.stretches(MINUTE))
+            write_text(run.directory.file(rundir.MINUTES), rows)
 
 
 def _asked(run: Run, progress: Progress) -> Iterator[str]:
