@@ -45,7 +45,7 @@ def test_charts_follow_light_and_dark_mode(browser, width: int, scheme: str) -> 
 def test_many_lifetimes_are_folded(browser, width: int) -> None:
     for objects, folded in ((5, False), (200, True)):
         page = opened(browser, report_html(run_record(20, objects), {}), width, "light")
-        bars = page.locator('[aria-label^="Bar chart"]')
+        bars = page.locator('[aria-label^="Bar chart of the lifetime"]')
         assert bars.is_visible() != folded
         assert page.evaluate("document.documentElement.scrollHeight") < 3000
         if folded:
