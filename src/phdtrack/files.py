@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import codecs
+import csv
 import ctypes
 import errno
+import io
 import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib import import_module
@@ -137,6 +139,13 @@ def write_text(path: Path, text: str) -> None:
     with whole(path) as part:
         # File names may contain bytes that are no text; JSON escapes them in the same way.
         part.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Rows as CSV, the first of them the header."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue()
 
 
 def load(path: AnyPath) -> bytes:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +20,7 @@ from phdtrack.compare.statistics import (
     values_of,
     widest,
 )
-from phdtrack.files import write_text
+from phdtrack.files import csv_text, write_text
 from phdtrack.metrics.causes import SUMS
 from phdtrack.parallel import Failed
 from phdtrack.report.pages import flattened, lines, render, score_meanings
@@ -264,6 +262,4 @@ def _number(value: float) -> str:
 
 def _write(path: Path, rows: Sequence[Sequence[str]]) -> None:
     """Write rows as CSV."""
-    file = io.StringIO()
-    csv.writer(file, lineterminator="\n").writerows(rows)
-    write_text(path, file.getvalue())
+    write_text(path, csv_text(rows))

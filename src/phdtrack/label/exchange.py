@@ -12,8 +12,6 @@ place of its detection, an unmatched one is a missed object.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections import Counter
 from collections.abc import Iterator
@@ -26,6 +24,7 @@ from scipy.optimize import linear_sum_assignment
 
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
+from phdtrack.files import csv_text
 from phdtrack.formats.annotations import AnnotationFile
 from phdtrack.label.samples import clip
 from phdtrack.label.store import DRAWN, MARKS, Label, LabelStore, Mark
@@ -216,15 +215,13 @@ class Exchange:
         return dict(sorted(pictures.items()))
 
     def _csv(self) -> str:
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(["frame", "box", "mark", "left", "top", "right", "bottom", "labeller"])
-        writer.writerows(
+        head = ("frame", "box", "mark", "left", "top", "right", "bottom", "labeller")
+        marks = [
             (one.frame, one.box, one.mark, *at, one.who)
             for one, at in self._known()
             if one.mark != "none"
-        )
-        return out.getvalue()
+        ]
+        return csv_text([head, *marks])
 
     def _coco(self) -> str:
         size = {"width": self.info.width, "height": self.info.height}

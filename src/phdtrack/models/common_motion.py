@@ -23,7 +23,7 @@ boxes is learned, too, from all pairs: a factor for each component.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -179,18 +179,8 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
 
     def with_targets(self, state: CameraState, estimates: Estimates) -> CameraState:
         """The state with the targets of this frame."""
-        return CameraState(
-            np.ascontiguousarray(estimates.state.T),
-            estimates.covariance,
-            state.velocity,
-            state.excess,
-            state.weight,
-            state.scale,
-            state.pairs,
-            state.evidence,
-            state.followed,
-            state.left,
-        )
+        mean = np.ascontiguousarray(estimates.state.T)
+        return replace(state, mean=mean, covariance=estimates.covariance)
 
     def _alternative(
         self, state: CameraState, z: F8, model: Model, base: F8, dt: float, which: int
@@ -259,18 +249,7 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             left = fading * state.left
         else:
             left = motion_of(given, frame) / dt - velocity
-        return CameraState(
-            state.mean,
-            state.covariance,
-            velocity,
-            state.excess,
-            state.weight,
-            state.scale,
-            state.pairs,
-            state.evidence,
-            state.followed,
-            left,
-        )
+        return replace(state, velocity=velocity, left=left)
 
 
 @lru_cache(maxsize=8)

@@ -238,16 +238,16 @@ def _unit(width: float) -> tuple[str, float]:
     return ("minutes", 60.0) if width < 3600 else ("hours", 3600.0)
 
 
-def histogram_chart(values: F8, label: str) -> Picture:
+def histogram_chart(values: Sequence[float], label: str) -> Picture:
     """How many objects have a value, in at most 24 bars of equal width from 0 on.
 
     Parameters
     ----------
-    values : (n,) of the objects; those that are not known are left out.
+    values : of the objects; those that are not known are left out.
     label : what the values are, with their unit.
     """
     axes = _axes(2.2, label, "objects")
-    known = values[np.isfinite(values)]
+    known = np.array([value for value in values if math.isfinite(value)])
     most = float(known.max()) if len(known) else 1.0
     bars = min(24, max(6, len(known)))
     axes.hist(known, bars, range=(0.0, most or 1.0), color=_BLUE, alpha=0.7, rwidth=0.92)

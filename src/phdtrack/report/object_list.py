@@ -4,14 +4,13 @@ in each minute.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from phdtrack.files import csv_text
 from phdtrack.report.drawing import feet
 from phdtrack.types import F8, I8, SequenceInfo, Tracks
 
@@ -81,9 +80,9 @@ def objects(
     """
     found = []
     seconds = np.interp(tracks.frame, numbers, times) if len(numbers) else np.zeros(len(tracks))
-    for identity in np.unique(tracks.identity):
-        rows = np.flatnonzero(tracks.identity == identity)
-        rows = rows[np.argsort(tracks.frame[rows])]
+    order = np.lexsort((tracks.frame, tracks.identity))
+    begins = np.flatnonzero(np.diff(tracks.identity[order])) + 1
+    for rows in np.split(order, begins) if len(order) else ():
         time = seconds[rows]
         boxes = tracks.xyxy[rows]
         step, path = _path(time, feet(boxes))
@@ -96,7 +95,7 @@ def objects(
             name = names.get(number, str(number))
         found.append(
             Seen(
-                int(identity),
+                int(tracks.identity[rows[0]]),
                 name,
                 float(time[0]),
                 float(time[-1]),
@@ -122,16 +121,20 @@ def minutes(found: Sequence[Seen], times: F8, track_count: I8, width: float) -> 
     """
     if not len(times):
         return []
+    first = np.array([one.first for one in found])
+    last = np.array([one.last for one in found])
     rows = []
     for k in range(math.floor((times[-1] - times[0]) / width) + 1):
         start = float(times[0]) + k * width
-        there = (times >= start) & (times < start + width)
+        end = start + width
+        begin, after = times.searchsorted((start, end))
+        there = track_count[begin:after]
         rows.append(
             Minute(
                 start,
-                sum(one.first < start + width and one.last >= start for one in found),
-                sum(start <= one.first < start + width for one in found),
-                float(track_count[there].mean()) if there.any() else math.nan,
+                int(((first < end) & (last >= start)).sum()),
+                int(((first >= start) & (first < end)).sum()),
+                float(there.mean()) if len(there) else math.nan,
             )
         )
     return rows
@@ -145,21 +148,20 @@ def objects_csv(found: Sequence[Seen]) -> str:
     found : the objects.
     """
     head = ("identity", "class", "first", "last", "seconds", "boxes", "predicted", "distance")
-    return _csv(
-        (*head, "speed", "speed_in_heights"),
-        [
-            (
-                one.identity,
-                one.name,
-                *(f"{value:.3f}" for value in (one.first, one.last, one.seconds)),
-                one.boxes,
-                one.predicted,
-                *(f"{value:.1f}" for value in (one.distance, one.speed)),
-                f"{one.speed_in_heights:.3f}",
-            )
-            for one in found
-        ],
-    )
+    rows = [
+        (
+            one.identity,
+            one.name,
+            *(f"{value:.3f}" for value in (one.first, one.last, one.seconds)),
+            one.boxes,
+            one.predicted,
+            f"{one.distance:.1f}",
+            _known(one.speed, 1),
+            _known(one.speed_in_heights, 3),
+        )
+        for one in found
+    ]
+    return csv_text([(*head, "speed", "speed_in_heights"), *rows])
 
 
 def minutes_csv(rows: Sequence[Minute]) -> str:
@@ -169,10 +171,8 @@ def minutes_csv(rows: Sequence[Minute]) -> str:
     ----------
     rows : the minutes.
     """
-    return _csv(
-        Minute._fields,
-        [(f"{row.start:.3f}", row.objects, row.arrived, f"{row.mean:.2f}") for row in rows],
-    )
+    lines = [(f"{row.start:.3f}", row.objects, row.arrived, _known(row.mean, 2)) for row in rows]
+    return csv_text([Minute._fields, *lines])
 
 
 def visited(tracks: Tracks, info: SequenceInfo, cells: int) -> F8:
@@ -192,6 +192,11 @@ def visited(tracks: Tracks, info: SequenceInfo, cells: int) -> F8:
     return np.asarray(counts / max(len(tracks), 1), np.float64)
 
 
+def _known(value: float, decimals: int) -> str:
+    """A number with so many decimals; empty if it is not known."""
+    return f"{value:.{decimals}f}" if math.isfinite(value) else ""
+
+
 def _path(time: F8, points: F8) -> tuple[F8, F8]:
     """Seconds and pixels of each step of a path (n, 2), averaged over `_SMOOTHED` seconds."""
     bins = np.floor((time - time[0]) / _SMOOTHED).astype(np.int64)
@@ -201,12 +206,3 @@ def _path(time: F8, points: F8) -> tuple[F8, F8]:
     )
     step = np.diff(mean, axis=0)
     return step[:, 0], np.hypot(step[:, 1], step[:, 2])
-
-
-def _csv(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """CSV with a header; numbers that are not known are empty."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows([["" if value == "nan" else value for value in row] for row in rows])
-    return out.getvalue()

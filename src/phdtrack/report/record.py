@@ -176,22 +176,12 @@ class RunRecord:
         """The objects of the tracks, by the time at which they came."""
         return objects(self.tracks, self.numbers, self.times, self.names)
 
-    def stretches(self, width: float) -> list[Minute]:
-        """How many objects there were in each stretch of ``width`` seconds."""
-        return minutes(self.objects, self.times, self.track_count, width)
+    def objects_during(self, found: Sequence[Seen], width: float) -> list[Minute]:
+        """How many of the `objects` there were in each stretch of ``width`` seconds."""
+        return minutes(found, self.times, self.track_count, width)
 
     @property
-    def durations(self) -> F8:
-        """(n,) seconds from the first to the last box of each object."""
-        return np.array([one.seconds for one in self.objects])
-
-    @property
-    def speeds(self) -> F8:
-        """(n,) speed of each object in heights of its own box per second; NaN if unknown."""
-        return np.array([one.speed_in_heights for one in self.objects])
-
-    @property
-    def width(self) -> float:
+    def bar_seconds(self) -> float:
         """Seconds of a bar in the chart of arrivals: a second, ten, a minute or an hour, for 3 to
         180 bars.
         """

@@ -58,6 +58,7 @@ class Thumbnails:
         """
         if frame.time < self._next:
             return
+        self._next = frame.time + _PAUSE
         good = tracks.confirmed & ~tracks.predicted & (tracks.frame == frame.number)
         wanted = list[tuple[int, float]]()
         for row in np.flatnonzero(good).tolist():
@@ -71,7 +72,6 @@ class Thumbnails:
                 wanted.append((row, area))
         if not wanted:
             return
-        self._next = frame.time + _PAUSE
         image = pixelated(bgr_of(frame.picture), boxes, self._blur)
         for row, area in wanted:
             part = _cut_out(image, tracks.xyxy[row])

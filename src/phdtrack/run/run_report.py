@@ -125,9 +125,10 @@ def _write_objects(run: Run, progress: Progress, record: RunRecord) -> None:
     are known.
     """
     if run.inputs.again:
+        found = record.objects
         with progress.writing():
-            write_text(run.directory.file(rundir.OBJECTS), objects_csv(record.objects))
-            rows = minutes_csv(record.stretches(MINUTE))
+            write_text(run.directory.file(rundir.OBJECTS), objects_csv(found))
+            rows = minutes_csv(record.objects_during(found, MINUTE))
             write_text(run.directory.file(rundir.MINUTES), rows)
 
 
