@@ -61,7 +61,7 @@ EXPERIMENTS = {
     ),
     "cameras": Experiment(
         "new cameras and detectors, compared with other trackers, cross-validated over groups; and"
-        " synthetic cameras, fitted to nothing"
+        " synthetic cameras"
     ),
     "degraded": Experiment(
         "the real sequences without scores, at a third of the rate, and with half of the"

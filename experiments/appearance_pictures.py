@@ -280,7 +280,7 @@ def videos_section(options: Options) -> str:
 
 
 def videos_verdict(names: Sequence[str], gains: F8, means: F8) -> str:
-    """Whether colours pay on videos, in a sentence or two.
+    """A sentence or two that say if colours pay on videos.
 
     Parameters
     ----------

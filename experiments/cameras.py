@@ -11,8 +11,8 @@ cross-validation estimates its effect elsewhere: each group is tracked with the 
 on the other groups, by the mean over groups of the mean distance of the online rows to the best
 peer.
 
-Synthetic cameras (`experiments.synthetic_cameras`), fitted to nothing, show what the
-default and its variants are worth elsewhere. Each is a group of its own, because each is drawn
+Synthetic cameras (`experiments.synthetic_cameras`), on which one threshold was chosen, show what
+the default and its variants are worth elsewhere. Each is a group of its own, because each is drawn
 independently of the others: the error of their mean is that of independent cameras.
 """
 
@@ -574,8 +574,8 @@ def unproved(results: CameraResults) -> list[str]:
 
 
 def gap_table(results: CameraResults) -> str:
-    """The mean distance of the default on the real groups and on synthetic cameras, and that there
-    less that here.
+    """The mean distance of the default on the real groups and on synthetic cameras, and their
+    difference.
     """
     # MOT15 has the same peers by the same names.
     three = [row for row in results.peers if row["name"] in OF_TRACKERS or _is_synthetic(row)]

@@ -158,7 +158,7 @@ class ScoredCase:
 
 
 def data_place() -> Path:
-    """Where the real sequences are looked for: $PHDTRACK_DATA or ../shared/data."""
+    """The folder of the real sequences: $PHDTRACK_DATA or ../shared/data."""
     return Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
 
 

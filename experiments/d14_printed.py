@@ -46,19 +46,14 @@ PRINTED: Mapping[float, Mapping[int, tuple[Cells, float, Cells, float]]] = {
 Results = Mapping[CorridorRun, RunErrors]
 
 
-def squares(results: Results, name: str, number: int, variance: float, seeds: int) -> F8:
-    """(G,) mean squared errors of the targets to the truth, per axis, over the seeds."""
+def squares(
+    results: Results, name: str, number: int, variance: float, seeds: int, of: str = "truth"
+) -> F8:
+    """(G,) mean squared errors of the targets, per axis, over the seeds: to the ``truth``, or to
+    the ``measurement``.
+    """
     each = [
-        results[CorridorRun(WORLD, name, number, variance, seed)].truth ** 2
-        for seed in range(seeds)
-    ]
-    return np.asarray(np.nanmean(each, axis=0))
-
-
-def to_z(results: Results, name: str, number: int, variance: float, seeds: int) -> F8:
-    """(G,) the same to the measurements."""
-    each = [
-        results[CorridorRun(WORLD, name, number, variance, seed)].measurement ** 2
+        getattr(results[CorridorRun(WORLD, name, number, variance, seed)], of) ** 2
         for seed in range(seeds)
     ]
     return np.asarray(np.nanmean(each, axis=0))
@@ -107,7 +102,7 @@ def claims(results: Results, numbers: Sequence[int], seeds: int) -> list[Claim]:
         return squares(results, name, number, variance, seeds)
 
     def detected(name: str, number: int, variance: float) -> F8:
-        return to_z(results, name, number, variance, seeds)
+        return squares(results, name, number, variance, seeds, "measurement")
 
     out = []
     for form, chain in ((WORDS, MCMC), (MENDED, SAMPLER)):

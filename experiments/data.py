@@ -1,4 +1,4 @@
-"""Where the real sequences of the experiments come from, and which of their files are there.
+"""Sources and checksums of the real sequences of the experiments.
 
 ``python -m experiments.data`` lists the sets: what is missing, what differs from the files that the
 pages were made with, and where each set is published. Nothing is downloaded: most licences ask that

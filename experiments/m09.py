@@ -173,11 +173,8 @@ def learn(job: tuple[Halves, int]) -> PaperScene:
     alarms = {}
     judge = Judge(case, stages, false, seed)
     every = sum(int(one.sum()) for one in false)
-    marked = np.zeros((0, 4))
-    looked = list[int]()
     for count in sorted({*(count for count in MARKS if count <= every), min(every, PAPER_MARKS)}):
-        looked = frames_until(false, count, seed)
-        marked = np.concatenate([case.table.at(k).xyxy[false[k - 1]] for k in looked])
+        looked, marked = marked_boxes(case, false, count, seed)
         clutter = false_alarms(to_cxcywh(marked), len(looked), case).learned
         alarms[count] = Alarms(
             clutter, len(marked), len(looked), judge.share(births, clutter, looked[:JUDGED])
@@ -186,8 +183,7 @@ def learn(job: tuple[Halves, int]) -> PaperScene:
     # The second pass knows the false alarms; births are uniform still.
     again = early(followed(mixed(stages, None, known.clutter, 1.0), case, seed).corrected, case)
     after, tracks_after = own_births(*again, case, stages.model.rate)
-    looked = frames_until(false, known.marks, seed)
-    marked = np.concatenate([case.table.at(k).xyxy[false[k - 1]] for k in looked])
+    looked, marked = marked_boxes(case, false, known.marks, seed)
     return PaperScene(
         births,
         tracks,
@@ -315,6 +311,12 @@ def false_detections(case: Case) -> list[Bool]:
         people = case.truth.xyxy[case.truth.frame == k]
         found.append(iou(case.table.at(k).xyxy, people).max(axis=1, initial=0) < NO_OBJECT)
     return found
+
+
+def marked_boxes(case: Case, false: Sequence[Bool], count: int, seed: int) -> tuple[list[int], F8]:
+    """The frames to mark until ``count`` false alarms are found, and their false boxes (n, 4)."""
+    looked = frames_until(false, count, seed)
+    return looked, np.concatenate([case.table.at(k).xyxy[false[k - 1]] for k in looked])
 
 
 def frames_until(false: Sequence[Bool], count: int, seed: int) -> list[int]:

@@ -72,8 +72,8 @@ def test_the_kalman_filters_are_those_of_single_targets():
 
 
 def test_all_filters_get_the_same_measurements():
-    """N is the number of samples, or of all particles; the sensor's variance is that of the
-    measurements.
+    """N is the number of samples, or of particles for each estimated target; the sensor's
+    variance is that of the measurements.
     """
     scans = [
         scans_of(CorridorRun("corridor", name, n, 0.5, 4)) for name in FILTERS for n in (100, 500)

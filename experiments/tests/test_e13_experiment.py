@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments import e13
-from experiments.claims import WORDS
+from experiments.claims import MENDED, OURS, WORDS
 from experiments.e13 import CrowdCounts
 
 
@@ -79,6 +79,17 @@ def test_claims_of_e13_for_made_up_counts() -> None:
     assert groups.ours == "error 0.00, right in 100 % of the frames"
     assert groups.verdict == "holds on 2 of 3, not on from weight 0.1"
     assert jumps.verdict == "does not hold"
+    (mended,) = [
+        one for one in e13.claims_of(found) if one.claim == "a cardinalised filter mends the jumps"
+    ]
+    assert (mended.form, mended.verdict) == (OURS, "does not hold")
+    jumping = results[e13.CrowdRun(e13.FORMS[MENDED], 0.1, 0)]
+    jumping.mass[::2] += 3.0
+    (mended,) = [
+        one for one in e13.claims_of(found) if one.claim == "a cardinalised filter mends the jumps"
+    ]
+    assert mended.verdict == "holds"
+    jumping.mass[::2] -= 3.0
     assert (hidden.ours, hidden.verdict) == ("error 0.50 with, 2.00 without", "holds")
     assert "with the true people as hiders it is 2.00 (bias -2.00)" in e13.hidden_sentence(found)
     assert "| 0.1 | GM-PHD | word by word | 2.00 (0 %) | 0.00 (100 %) |" in e13.weights_table(found)

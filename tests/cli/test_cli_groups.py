@@ -312,6 +312,15 @@ def test_groups_are_found_among_known_positions(kind: str, tmp_path: Path) -> No
     assert float(pair["count"]) == 2
 
 
+def test_an_empty_file_of_positions_has_no_groups(tmp_path: Path) -> None:
+    (tmp_path / "empty.csv").write_text("")
+    words = ["--positions", tmp_path / "empty.csv", "--fps", "10", "--out", tmp_path / "out"]
+    said = phdtrack("groups", *words, "--json")
+    assert said.status == 0, said
+    assert said.object["groups"]["frames"] == 0
+    assert said.object["groups"]["people_mean"] is None
+
+
 def test_positions_need_a_rate_and_nothing_else(tmp_path: Path, street: Path) -> None:
     file = known_positions(tmp_path)
     said = refused("groups", "--positions", file, "--out", tmp_path / "a")

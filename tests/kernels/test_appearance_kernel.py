@@ -157,7 +157,7 @@ def test_pairs_have_no_ratio_before_lessons(rng: np.random.Generator):
 
 @settings(max_examples=30)
 @given(SEEDS, st.integers(0, 5), st.integers(0, 6), st.integers(1, 5), LENGTHS)
-def test_beforeafter_a_frame_are_as_defined(seed: int, targets: int, pasts: int, n: int, size: int):
+def test_pasts_after_a_frame_are_as_defined(seed: int, targets: int, pasts: int, n: int, size: int):
     """Each hypothesis has its own past, and those that saw the same share one."""
     rng = np.random.default_rng(seed)
     looks = a_frame(rng, n, size)

@@ -236,7 +236,7 @@ class School:
             self.same += np.array([1, x, x * x, s, x * s, s * s]) / parts
 
     def _meeting(self, label: int, j: int, sure: np.ndarray, looks) -> None:
-        """Whether detection j looks like the target beside it, by Bayes' rule."""
+        """Learn if detection j looks like the target beside it, by Bayes' rule."""
         for other in sure[sure[:, 1] == looks.beside[j], 0].tolist():
             if looks.beside[j] < 0 or not (self.people[label].seen and self.people[other].seen):
                 continue

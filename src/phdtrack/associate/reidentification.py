@@ -417,10 +417,14 @@ def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
     ratio = among(ratio, state.confirmed)
     left, top, right, bottom = state.extent
     area = max((right - left) * (bottom - top), 1.0)
+    # Old pairs and lost targets are forgotten, but have ended all the same.
+    ended = max(
+        len(state.pairs) + len(lost.label), state.confirmed - int(np.count_nonzero(seen.alive))
+    )
     # Those that came back are not new.
     rates = Rates(
         max(state.confirmed - state.back, 1.0) / max(state.time - state.begun, 1.0),
-        returning_share(state.back, len(state.pairs) + len(lost.label)),
+        returning_share(state.back, ended),
     )
     prior = log_odds(gap.ravel(), lost.xyxy[b], seen.xyxy[new][a], rates, area)
     odds: F8 = np.exp(prior + ratio).reshape(gap.shape)

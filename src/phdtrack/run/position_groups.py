@@ -80,7 +80,7 @@ def walkers_of(people: KnownPositions, fps: float) -> list[Walkers]:
     unknown = ~np.isfinite(velocity).all(axis=0)
     velocity[:, unknown] = _slopes(people, fps)[:, unknown]
     number, first = np.unique(people.frame, return_index=True)
-    ends = [*first[1:], len(people)]
+    ends = [*first[1:], len(people)][: len(first)]
     covariance = np.diag(np.array([BODY, BODY, GAIT, GAIT]) ** 2)
     return [
         Walkers(
