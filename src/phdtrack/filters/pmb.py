@@ -61,8 +61,9 @@ the model's noises, which count for n₀ observations: n ← kn + (1 − k)n₀.
 probable; the innovations decide between them. A bank of filters, each with its motion for good [B01
 §11.6].
 
-The filter knows a model by the arrays that it answers (`models.gaussian`); `kernels.pmb` computes
-with them.
+For boxes at constant velocity whose appearance is not known, `kernels.pmb_boxes` does a step in one
+call, with the same result. Otherwise the filter knows a model by the arrays that it answers
+(`models.gaussian`); `kernels.pmb` computes with them.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ from phdtrack.filters.undetected import recycled, still_undetected, survived, wi
 from phdtrack.kernels import Records
 from phdtrack.kernels.appearance import NO_PASTS, Looks, Pasts, plain
 from phdtrack.kernels.box import apart
-from phdtrack.kernels.gaussian import Births, NewTargets
+from phdtrack.kernels.gaussian import Births, Measurements, NewTargets
 from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import (
     CERTAIN,
@@ -314,19 +315,13 @@ class PMB(Checked, Filter[Bernoullis]):
         still stays where it is [PMB (1)].
         """
         now = state.present
-        factors = self.acceleration_factors
-        if factors == (1.0,):
-            factor = SAME
-        else:
-            factor = _squares(factors)[now.hypotheses["motion"]]
+        factor = self._factors
+        if len(factor):
+            factor = factor[now.hypotheses["motion"]]
         mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform, factor)
         now = Layer(now.targets, now.hypotheses, mean, covariance)
         noise = model.sensor.noise(np.ascontiguousarray(mean.T))
-        freedom = self.noise_freedom, math.exp(-1 / self.noise_memory)
-        genuine = self._prior, math.exp(-1 / SCORE_MEMORY)
-        seconds = dt / model.rate
-        stand = -seconds / MEAN_STANDING_TIME
-        layer = predicted_layer(now, after, noise, *self._changes(seconds), stand, freedom, genuine)
+        layer = predicted_layer(now, after, noise, *self._chances(dt / model.rate))
         unseen = survived(state.undetected, model, dt, self.transform)
         return Bernoullis(
             (*state.layers[-self.history :], layer),
@@ -345,12 +340,12 @@ class PMB(Checked, Filter[Bernoullis]):
         """Predict and update; in one compiled call for boxes whose appearance is not known."""
         motion = model.motion
         sensor = model.sensor
-        alone = model.appearance is None and not state.remembers_others
         if not (
-            type(motion) is BoxMotion
+            self.transform == "linear"
+            and type(motion) is BoxMotion
             and type(sensor) is BoxSensor
-            and self.transform == "linear"
-            and alone
+            and model.appearance is None
+            and not state.remembers_others
         ):
             return Filter.step(self, state, z, model, dt, rng)
         births, hidden = self._births(state, model, z, dt)
@@ -358,33 +353,14 @@ class PMB(Checked, Filter[Bernoullis]):
             return Filter.step(self, state, z, model, dt, rng)
         before = state.present
         mean, covariance = carried(model, before.mean, before.covariance)
-        clutter, scores = self._clutter(model, z, dt)
-        seen = measurements(model.sensor, z, clutter)
-        self._check_noise(len(seen.period))
-        gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
-        seconds = dt / model.rate
-        around = births.around
+        clutter, scores, seen, gate = self._seen(model, z, dt)
+        new = new_targets(model, births, seen, gate, self.transform)
         layer, learned, gone, counted = stepped_boxes(
             (before.targets, before.hypotheses, mean, covariance),
-            (
-                tuple(motion.dynamics(dt, dt / model.rate)),
-                SAME
-                if self.acceleration_factors == (1.0,)
-                else _squares(self.acceleration_factors),
-                *sensor.numbers,
-            ),
-            (
-                *self._changes(seconds),
-                -seconds / MEAN_STANDING_TIME,
-                (self.noise_freedom, math.exp(-1 / self.noise_memory)),
-                (self._prior, math.exp(-1 / SCORE_MEMORY)),
-            ),
+            (tuple(motion.dynamics(dt, dt / model.rate)), self._factors, *sensor.numbers),
+            self._chances(dt / model.rate),
             tuple(seen),
-            (
-                model.sensor.p_detect(z) * around.density,
-                around.mean,
-                around.covariance,
-            ),
+            tuple(new),
             tuple(scores),
             tuple(self._settings(gate, model, state.detections, scores.prior < CERTAIN)),
             (dt, FAST_SHARE, self._turn(dt, model), FAST_SPEED, self.turns_per_second > 0),
@@ -394,6 +370,31 @@ class PMB(Checked, Filter[Bernoullis]):
         return self._updated(
             (state, layers, state.frame + 1), clutter, (learned, gone, counted), hidden
         )
+
+    @property
+    def _factors(self) -> F8:
+        """The multipliers of the variances of acceleration of each motion; (0,) for none."""
+        factors = self.acceleration_factors
+        return SAME if factors == (1.0,) else _squares(factors)
+
+    def _chances(
+        self, seconds: float
+    ) -> tuple[float, float, float, tuple[float, float], tuple[float, float]]:
+        """The numbers of `predicted_layer` after ``seconds``."""
+        return (
+            *self._changes(seconds),
+            -seconds / MEAN_STANDING_TIME,
+            (self.noise_freedom, math.exp(-1 / self.noise_memory)),
+            (self._prior, math.exp(-1 / SCORE_MEMORY)),
+        )
+
+    def _seen(self, model: Model, z: F8, dt: float) -> tuple[F8, Scores, Measurements, float]:
+        """κ(z), what scores say of it, the measurements, and the gate in deviations."""
+        clutter, scores = self._clutter(model, z, dt)
+        seen = measurements(model.sensor, z, clutter)
+        self._check_noise(len(seen.period))
+        gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
+        return clutter, scores, seen, gate
 
     @property
     def _prior(self) -> float:
@@ -423,11 +424,7 @@ class PMB(Checked, Filter[Bernoullis]):
         alarms.
         """
         now = state.present
-        # Clutter κ(z) and what scores say of it
-        clutter, scores = self._clutter(model, z, dt)
-        seen = measurements(model.sensor, z, clutter)
-        self._check_noise(len(seen.period))
-        gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
+        clutter, scores, seen, gate = self._seen(model, z, dt)
         # Predicted measurements of known targets; first detections λ̂(z) of new ones: PMB (5)
         ahead = predicted_measurements(model.sensor, now.mean, now.covariance, self.transform)
         births, hidden = self._births(state, model, z, dt)

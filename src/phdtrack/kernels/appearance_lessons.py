@@ -240,6 +240,8 @@ def _teach_beside(
     j = sure[a, 1]
     law = looks.law
     other = looks.beside[j] if looks.beside.size > 0 else -1
+    # Before anything is known: the law of `UNKNOWN`. A weight of 0 would not do, because what is no
+    # longer trusted must be able to be trusted again.
     if other < 0 or law.same_deviation >= 1.0:
         return
     for b in range(len(sure)):

@@ -97,6 +97,7 @@ def stepped_boxes(
     """
     dynamics, factors, noise, speed, p_detect, of_target = world
     occlude, reappear, stand, freedom, genuine = chances
+    turns = Turns(*turns)
     targets, hypotheses, mean, covariance = layer
     many = len(hypotheses)
     factor = np.empty(many if len(factors) > 0 else 0)
@@ -124,13 +125,13 @@ def stepped_boxes(
     expected = Expected(
         rows, ahead.mean, ahead.covariance, ahead.covariance, own, np.full(many, p_detect)
     )
-    usual = np.empty((many if turns[4] else 0, 2))
+    usual = np.empty((many if turns.possible else 0, 2))
     if len(usual) > 0:
         deviations = box_deviations(columns, noise, speed)
         for c in range(many):
             usual[c, 0] = deviations[2, c]
             usual[c, 1] = deviations[3, c]
-    jumps = Jumps(turns[0], turns[1], turns[2], usual, turns[3])
+    jumps = Jumps(turns.interval, turns.fast, turns.turn, usual, turns.wide)
     # Nothing is known of appearance.
     none = np.empty(0)
     unseen = np.empty((0, 0), np.float32)
