@@ -177,7 +177,7 @@ class RunRecord:
         return objects(self.tracks, self.numbers, self.times, self.names)
 
     def objects_during(self, found: Sequence[Seen], width: float) -> list[Minute]:
-        """How many of the `objects` there were in each stretch of ``width`` seconds."""
+        """How many of the objects ``found`` there were in each stretch of ``width`` seconds."""
         return minutes(found, self.times, self.track_count, width)
 
     @property
