@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
@@ -103,6 +103,23 @@ class Looker:
         """It learns nothing."""
 
 
+class Scholar(Looker):
+    """Knows the scene until it is told to forget it."""
+
+    studied = True
+
+    def study(self, samples: Iterable[Frame]) -> None:
+        """It knows all."""
+
+    def scene_warnings(self) -> tuple[str, ...]:
+        """The scene is odd."""
+        return ("The scene is odd.",) if self.studied else ()
+
+    def reset(self) -> None:
+        """Forget the scene."""
+        self.studied = False
+
+
 @pytest.fixture
 def job() -> PreparedRun:
     model = Model(
@@ -182,6 +199,17 @@ def test_what_stops_a_run_loses_nothing(
     consistent(directory, outcome, 12)
     said = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
     assert any("after frame 12" in warning and said in warning for warning in outcome.warnings)
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_the_scene_of_a_file_is_forgotten_at_its_end(
+    job: PreparedRun, directory: rundir.RunDirectory, again: bool
+) -> None:
+    """What the detector says of it stands in the report; a camera's next segment goes on."""
+    scholar = Scholar()
+    outcome = replace(job, inputs=replace(job.inputs, detector=scholar, again=again)).run(directory)
+    assert scholar.studied is not again
+    assert "The scene is odd." in outcome.warnings
 
 
 def test_a_run_that_was_stopped_is_scored_on_what_it_saw(

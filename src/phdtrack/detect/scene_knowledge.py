@@ -17,6 +17,7 @@ from phdtrack.detect.base import (
 )
 from phdtrack.devices import Planar, planes_of, size_of
 from phdtrack.errors import InputError
+from phdtrack.files import return_memory
 from phdtrack.types import Frame
 
 # Frames from which the scene of a file is learned, and the fewest that suffice.
@@ -169,3 +170,11 @@ def scene_warnings(detector: Detector) -> tuple[str, ...]:
     if isinstance(inner, StudiesScene):
         return inner.scene_warnings()
     return ()
+
+
+def forget_scene(detector: Detector) -> None:
+    """Let a detector forget the scene that it has studied, and give the memory back."""
+    inner = unwrapped(detector)
+    if isinstance(inner, StudiesScene) and inner.studied:
+        inner.reset()
+        return_memory()

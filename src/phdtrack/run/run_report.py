@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phdtrack.detect.scene_knowledge import scene_warnings
 from phdtrack.files import write_text
 from phdtrack.report import RunRecord, report_html, run_document, sentences, write_run
 from phdtrack.report.object_list import MINUTE, minutes_csv, objects_csv
@@ -79,7 +78,7 @@ def write_report(
         worth = replace(worth, exchanged=len(progress.tracker.exchanges))
         record = replace(record, appearance=worth)
     confirmed = _confirmation(run, progress)
-    wrong = scene_warnings(run.inputs.detector)
+    wrong = progress.scene_warnings
     if scores is None or scores.MOTA < GOOD_MOTA:
         wrong = (*wrong, *doubts(record))
     about = replace(

@@ -161,8 +161,7 @@ class Progress:
     frames, summaries : number of frames, and a summary of each; of a source without an end those of
         the last frames.
     seconds, skipped : time of the loop without the ``skipped`` frames: the first, and those in
-    which
-        kernels were compiled or loaded.
+        which kernels were compiled or loaded.
     source_problem : what the source and the log reported at their end.
     stop, cut : what ended the loop, and the drawing, before its time.
     drawn : last frame of videos that end early because of a signal; 0 for whole ones.
@@ -171,6 +170,7 @@ class Progress:
     resumed : the frame that the run continued from; 0 for a run from the beginning.
     reused : whether the detections are those of an earlier run.
     shakes : whether the detector reported that the camera shakes.
+    scene_warnings : what the detector reported of the scene.
     signs : judges tracks of moving regions; None if the detector reports objects.
     """
 
@@ -189,6 +189,7 @@ class Progress:
     resumed: int = 0
     reused: bool = False
     shakes: bool = False
+    scene_warnings: tuple[str, ...] = ()
     signs: TrackSigns | None = None
 
     def judge(self, rows: Tracks) -> None:

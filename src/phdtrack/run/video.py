@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from numba.core import event
 
 from phdtrack.detect import BACKGROUND
+from phdtrack.detect.scene_knowledge import forget_scene, scene_warnings
 from phdtrack.detect.wrappers import reported_region
 from phdtrack.errors import InputError, needed
 from phdtrack.files import return_memory
@@ -133,7 +134,10 @@ def _run(run: Run, advance: Advance) -> RunResult:
     tracks = _smoothed(run, progress)
     if lesson is not None:
         run, progress, tracks = _track_again(run, lesson, progress, tracks, advance)
+    progress.scene_warnings = scene_warnings(run.inputs.detector)
     if run.inputs.again:
+        # Videos and charts take memory, too. A camera's detector goes on in the next segment.
+        forget_scene(run.inputs.detector)
         with (
             progress.writing(),
             TracksWriter(run.directory.file(rundir.TRACKS), run.names) as file,
