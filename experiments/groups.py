@@ -229,6 +229,8 @@ def settings_of(where: WalkedScene) -> config.Settings:
         f"clutter.clutter_per_frame={CLUTTER}",
         # Detections in metres have no boxes that could overlap.
         "extract.merge_iou=1.0",
+        # All frames are grouped at the end.
+        "associate.history=0",
     )
     return config.load(None, sets)
 

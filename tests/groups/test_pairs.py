@@ -13,11 +13,14 @@ import pytest
 
 from phdtrack.groups.pairs import (
     ARRIVAL_TIME,
+    COMPANY,
     FREEDOM,
     JOINING,
+    MEMORY,
     NEIGHBOURHOOD,
     PARTING_TIME,
     SPEED_DIFFERENCE,
+    STRANGERS,
     WIDE,
     WIDE_SHARE,
     Pairs,
@@ -103,7 +106,13 @@ def row_odds(w: Walkers, strangers: float) -> float:
     )
     density = (1 + strangers) / (math.pi * NEIGHBOURHOOD**2)
     step = SPEED_DIFFERENCE**2 + v
-    own = step + float((w.mean[2:] ** 2).sum())
+    is_neighbour = COMPANY <= math.hypot(dx, dy) < NEIGHBOURHOOD
+    of_each = [
+        (is_neighbour * (du**2 + dv**2) + STRANGERS * 2 * (w.mean[2:, k] ** 2).sum())
+        / (is_neighbour + STRANGERS)
+        for k in (0, 1)
+    ]
+    own = step + float(sum(of_each)) / 2
     return near / density * student(du**2 + dv**2, step) / student(du**2 + dv**2, own)
 
 
@@ -120,7 +129,8 @@ def test_odds_are_those_of_a_two_state_chain() -> None:
     frames = [walkers(-1.0, {3: (-1, 0, 1, 0)}), *walk, walkers(3.3, {8: (3, 0, 1, 0)})]
     steps = np.diff(times)
     odds = np.array([row_odds(w, 0.0) for w in walk])
-    odds[1:] **= np.minimum(steps / PAIRS.memory, 1)
+    speed = np.array([np.hypot(*w.mean[2:]).mean() for w in walk[1:]])
+    odds[1:] **= np.minimum(np.minimum(steps * speed / PAIRS.path, steps / MEMORY), 1)
     prior = PAIRS.prior_odds * math.exp(-1.0 / ARRIVAL_TIME)
 
     def chance(states: tuple[int, ...], rows: int) -> float:
@@ -222,6 +232,31 @@ def test_uncertain_people_give_less_evidence() -> None:
         return float(state.pairs.value[0])
 
     assert evidence(0.0) > evidence(0.3) > evidence(3.0)
+
+
+def test_strangers_who_wait_side_by_side_are_no_group() -> None:
+    """They came half a minute apart and stand for five; two who came together are one."""
+    for later, expected in ((30.0, False), (0.0, True)):
+        frames = []
+        for k in range(750):
+            time = 0.4 * k
+            people = {1: (min(0.0, time - 10.0), 0.0, float(time < 10.0), 0.0)}
+            if time >= later:
+                walked = time - later
+                people[2] = (min(0.0, walked - 10.0), 0.7, float(walked < 10.0), 0.0)
+            frames.append(walkers(time, people))
+        for found in (together(PAIRS.over_time(frames)), together(online(frames))):
+            assert set(found[110:740]) == {expected}
+
+
+def test_equal_steps_say_little_where_all_go_one_way() -> None:
+    def odds(others: float) -> float:
+        crowd = {k: (2.0 * (k % 3), 2.0 + k // 3, others, 0.0) for k in range(3, 9)}
+        frame = walkers(0.0, {1: (0, 0, 1.2, 0), 2: (0, 0.8, 1.2, 0)} | crowd)
+        state, _ = PAIRS.extend(PairState(), frame)
+        return float(state.pairs.value[0])
+
+    assert odds(1.2) < odds(-1.2)
 
 
 def test_chain_of_strangers_is_not_a_group() -> None:

@@ -12,7 +12,7 @@ import pytest
 from phdtrack import Tracker
 from phdtrack.metrics import Scores, evaluate
 from phdtrack.models import PlaneSensor
-from phdtrack.types import Truth
+from phdtrack.types import Detections, Truth
 from plane_cases import FRAME, LevelCamera
 
 CAMERA = LevelCamera()
@@ -136,3 +136,35 @@ def test_runners_are_not_lost_at_their_birth(kind: str, seed: int):
         corner = np.array([[20.0 + 5 * k, 60], [270.0 - 5 * k, 150]]) + noise[k - 1]
         tracker.update(np.hstack([corner, corner + np.array([24, 60])]))
     assert set(tracker.tracks().identity) == {1, 2}
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_people_who_stand_in_a_circle_are_all_tracked(count: int) -> None:
+    """0.7 m beside each other, seen with an error of 0.2 m, for 100 s."""
+    rng = np.random.default_rng(count)
+    angle = 2 * np.pi * np.arange(count) / count
+    radius = 0.35 / np.sin(np.pi / count)
+    place = 6 + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    tracker = Tracker(
+        (1, 1),
+        fps=2.5,
+        motion={"kind": "plane"},
+        camera={"region": [0.0, 0.0, 12.0, 12.0]},
+        extract={"merge_iou": 1.0},
+    )
+    for _ in range(250):
+        seen = place[rng.random(count) < 0.9]
+        seen = seen + 0.2 * rng.standard_normal(seen.shape)
+        seen = np.vstack([seen, rng.uniform(0, 12, (rng.poisson(0.5), 2))])
+        n = len(seen)
+        found = Detections(
+            np.hstack([seen - 0.3, seen + 0.3]),
+            np.ones(n),
+            np.zeros(n, np.int64),
+            np.tile(0.04 * np.eye(4), (n, 1, 1)),
+        )
+        tracker.update(found)
+    rows = tracker.tracks()
+    middle = (rows.xyxy[:, :2] + rows.xyxy[:, 2:]) / 2
+    there = np.hypot(*(middle - 6).T) < radius + 0.6
+    assert there.sum() == pytest.approx(250 * count, rel=0.1)

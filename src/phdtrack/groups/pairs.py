@@ -3,14 +3,21 @@
 Two people are either companions or strangers. A frame in which both are visible, with differences Δ
 in position and δ in velocity, multiplies the odds that they are companions by
 
-    N(Δ; 0, (σ² + P_Δ) I) / ρ  ·  t(δ; (s² + P_δ) I) / t(δ; (s² + P_δ + |v_a|² + |v_b|²) I)
+    N(Δ; 0, (σ² + P_Δ) I) / ρ  ·  t(δ; (s² + P_δ) I) / t(δ; (s² + P_δ + (u_a² + u_b²) / 2) I)
 
 A companion is near and walks at the same velocity. Strangers are anywhere, with the density ρ of
-the neighbourhood in this frame, and have independent velocities: if both stand still, nothing is
-learned from their velocities. P is the variance of the estimates of the two, the mean over both
-axes: uncertain people give less evidence. The densities of velocities are Student's t, because
-people stumble and turn, and that of positions has a wide component for a row of companions abreast.
-Consecutive frames are correlated: a frame counts with the share of its interval in ``memory``.
+the neighbourhood in this frame, and their velocities differ as those of strangers do here. u_a² is
+the mean square of the velocity of a relative to everybody between `COMPANY` and `NEIGHBOURHOOD`
+metres away, and to `STRANGERS` more who walk as fast as a in any direction: where all go one way,
+or stand and wait, equal velocities say little. P is the variance of the estimates of the two, the
+mean over both axes: uncertain people give less evidence. The densities of velocities are Student's
+t, because people stumble and turn, and that of positions has a wide component for a row of
+companions abreast.
+
+Consecutive frames are correlated: strangers stay beside each other until they have walked. So a
+frame counts with the share in ``path`` of what both have walked since the last one, in the mean,
+but at most with the share of the interval in `MEMORY`. People who wait side by side for minutes are
+no more of a group than when they came.
 
 Before the first frame the odds are ``prior_odds``, divided by e for each `ARRIVAL_TIME` between the
 arrivals of the two; after the last frame the same holds for leaving. In between companions rarely
@@ -32,7 +39,7 @@ import numpy as np
 
 from phdtrack.errors import Checked, Positive
 from phdtrack.kernels.clustering import clusters
-from phdtrack.types import F8, I8
+from phdtrack.types import F8, I8, Bool
 
 # s, metres per second: standard deviation of the relative velocity of companions on each axis.
 SPEED_DIFFERENCE = 0.7
@@ -44,8 +51,14 @@ PARTING_TIME = 1300.0
 APART_COST = 0.004
 # Seconds after which people who are not seen are forgotten by `Pairs.extend`.
 FORGET = 60.0
+# Seconds after which the evidence about two people is independent, however fast they are.
+MEMORY = 1.25
 # Radius in metres in which strangers are counted; pairs that were never as near are strangers.
 NEIGHBOURHOOD = 5.0
+# Metres within which others may be companions, and what independent velocities weigh against those
+# of the neighbours, in people.
+COMPANY = 1.5
+STRANGERS = 3.0
 # The wide component of companions' positions: its share and its standard deviation in metres.
 WIDE_SHARE = 0.02
 WIDE = 2.9
@@ -131,13 +144,13 @@ class Pairs(Checked):
     prior_odds : odds that two people who arrive at the same time are companions, regardless of
         their positions.
     distance : σ, metres: standard deviation of the relative position of companions on each axis.
-    memory : seconds after which the evidence about two people is independent.
+    path : metres that two people walk, in the mean, until the evidence about them is independent.
     max_log_odds : limit of the log-odds of a pair, for and against.
     """
 
     prior_odds: Positive = 5.0
     distance: Positive = 0.57
-    memory: Positive = 1.25
+    path: Positive = 0.8
     max_log_odds: Positive = 10.0
 
     def extend(self, state: PairState, walkers: Walkers) -> tuple[PairState, I8]:
@@ -196,7 +209,8 @@ class Pairs(Checked):
         first, _ = state.people.at(identity)
         first = np.where(np.isnan(first), time, first)
         x, y = walkers.mean[:2]
-        near = np.hypot(x[:, None] - x, y[:, None] - y) < NEIGHBOURHOOD
+        distance = np.hypot(x[:, None] - x, y[:, None] - y)
+        near = distance < NEIGHBOURHOOD
         low = np.minimum(identity[:, None], identity)
         high = np.maximum(identity[:, None], identity)
         keys = (low << 32) | high
@@ -207,9 +221,13 @@ class Pairs(Checked):
         interval = np.where(new, 0.0, time - seen)
         others = near.sum(axis=1) - 1.0
         density = (1 + (others[a] + others[b]) / 2 - near[a, b]) / (np.pi * NEIGHBOURHOOD**2)
-        # The first frame counts fully, the others with the share of their interval in the memory.
-        weight = np.where(new, 1.0, np.minimum(interval / self.memory, 1.0))
-        evidence = weight * self._evidence(walkers, a, b, density)
+        speed = np.hypot(*walkers.mean[2:])
+        walked = (speed[a] + speed[b]) / 2 * interval
+        share = np.minimum(np.minimum(walked / self.path, interval / MEMORY), 1.0)
+        weight = np.where(new, 1.0, share)
+        independent = _independent(walkers.mean[2:], near & (distance >= COMPANY))
+        spread = (independent[a] + independent[b]) / 2
+        evidence = weight * self._evidence(walkers, a, b, density, spread)
         prior = np.log(self.prior_odds) - np.abs(first[a] - first[b]) / ARRIVAL_TIME
         odds = np.where(new, prior, self._later(np.where(new, 0.0, before), interval)) + evidence
         forward: F8 = np.clip(odds, -self.max_log_odds, self.max_log_odds)
@@ -217,8 +235,10 @@ class Pairs(Checked):
         pairs = state.pairs.updated(*_sorted(key, forward), time, since)
         return PairState(pairs, people), PairRows(a, b, key, evidence), forward
 
-    def _evidence(self, walkers: Walkers, a: I8, b: I8, density: F8) -> F8:
-        """(P,) log-odds from the positions and velocities in one frame."""
+    def _evidence(self, walkers: Walkers, a: I8, b: I8, density: F8, spread: F8) -> F8:
+        """(P,) log-odds from the positions and velocities in one frame; ``spread`` (P,) is the mean
+        square of the relative velocities of strangers.
+        """
         difference = walkers.mean[:, a] - walkers.mean[:, b]
         variance = np.diagonal(walkers.covariance, axis1=1, axis2=2)
         variance = variance[a] + variance[b]
@@ -233,7 +253,7 @@ class Pairs(Checked):
             for share, width in ((1 - WIDE_SHARE, self.distance), (WIDE_SHARE, WIDE))
         )
         together = SPEED_DIFFERENCE**2 + of_velocity
-        apart = together + (walkers.mean[2:, a] ** 2 + walkers.mean[2:, b] ** 2).sum(axis=0)
+        apart = together + spread
         power = (FREEDOM + 2) / 2
         velocity = power * (
             np.log1p(speed2 / (FREEDOM * apart)) - np.log1p(speed2 / (FREEDOM * together))
@@ -268,6 +288,16 @@ class Pairs(Checked):
         gain[rows.a, rows.b] = pair_gain
         gain[rows.b, rows.a] = pair_gain
         return np.asarray(clusters(gain))
+
+
+def _independent(velocity: F8, strangers: Bool) -> F8:
+    """(n,) mean square of the velocity of each person relative to ``strangers`` (n, n), and to
+    `STRANGERS` more of the same speed and any direction.
+    """
+    squares = (velocity**2).sum(axis=0)
+    relative = np.maximum(squares[:, None] + squares - 2 * velocity.T @ velocity, 0.0)
+    total = (strangers * relative).sum(axis=1) + STRANGERS * 2 * squares
+    return np.asarray(total / (strangers.sum(axis=1) + STRANGERS))
 
 
 def _sorted(key: I8, value: F8) -> tuple[I8, F8]:
