@@ -1,7 +1,8 @@
 """Annotated groups of pedestrians, found among true positions and from a filter, with a grid over
 both thresholds.
 
-seq_eth and zara01, people seen from above every 0.4 s. Detections are simulated from the annotated
+seq_eth and zara01, people seen from above every 0.4 s, and for groups by pairs a simulated tram
+stop and square (`experiments.walked_scenes`). Detections are simulated from the annotated
 positions: noise of 0.2 m, one of ten missed, Poisson clutter over the walked ground. The GM-PHD
 filter on the plane has these rates and default settings otherwise; it runs once per seed and its
 people are grouped under every pair of thresholds. No threshold is chosen: E13's own 2 m and 1 m/s
@@ -19,6 +20,7 @@ import numpy as np
 
 from experiments.common import Options, in_parallel, need_data, table, with_error, write
 from experiments.group_scores import GroupScores, LabelledFrame, nearest, score_groups
+from experiments.walked_scenes import MARGIN, SIMULATED, Positions, WalkedScene, simulated
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
 from phdtrack.groups.clusters import Grouping
@@ -36,12 +38,10 @@ NEAR = (1.0, 1.5, 2.0, 2.5, 3.0)
 SLOW = (0.25, 0.5, 0.75, 1.0, 1.5)
 OWN = (2.0, 1.0)
 HOLDS = (0.0, 0.5, 1.0)
-# The detector: deviation in metres, detection probability, false alarms a frame, margin around
-# where people walk.
+# The detector: deviation in metres, detection probability, false alarms a frame.
 NOISE = 0.2
 DETECTION = 0.9
 CLUTTER = 0.5
-MARGIN = 1.0
 # Parts of a sequence that are overlaid for a crowd.
 CROWD = 3
 # States farther than this from all true positions are false, metres.
@@ -50,27 +50,8 @@ WITHIN = 1.0
 # width, gait.
 BODY = 0.3
 GAIT = 0.1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Positions:
-    """People on the ground, sorted by frame, then identity.
-
-    ``frame`` (M,), ``identity`` (M,), and ``state`` (4, M): px, py in metres, vx, vy in metres per
-    second.
-    """
-
-    frame: I8
-    identity: I8
-    state: F8
-
-    def __len__(self) -> int:
-        return len(self.frame)
-
-    def at(self, number: int) -> Positions:
-        """The people of frame ``number``."""
-        lo, hi = np.searchsorted(self.frame, [number, number + 1])
-        return Positions(self.frame[lo:hi], self.identity[lo:hi], self.state[:, lo:hi])
+# Scores of groups by pairs, by kind of people, and whether only past and present frames count.
+PairScores = dict[tuple[str, str], GroupScores]
 
 
 def read_positions(path: Path) -> Positions:
@@ -134,26 +115,7 @@ class GroupOutcome:
     people: dict[str, KnownPeople]
     grid: dict[tuple[float, float], GroupScores]
     held: dict[tuple[str, float], GroupScores]
-    pairs: dict[tuple[str, str], GroupScores]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WalkedScene:
-    """A sequence: people, the annotated ``group`` (M,) of each row, 0 for none, number and seconds
-    (F,) of its frames.
-    """
-
-    people: Positions
-    group: I8
-    number: I8
-    time: F8
-
-    @property
-    def region(self) -> tuple[float, float, float, float]:
-        """Left, low, right and high border of the walked ground, with a margin."""
-        low = self.people.state[:2].min(axis=1) - MARGIN
-        high = self.people.state[:2].max(axis=1) + MARGIN
-        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+    pairs: PairScores
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -401,9 +363,7 @@ def online(walkers: Sequence[Walkers]) -> Iterator[I8]:
         yield label
 
 
-def both(
-    where: WalkedScene, kind: str, walkers: Sequence[Walkers]
-) -> dict[tuple[str, str], GroupScores]:
+def both(where: WalkedScene, kind: str, walkers: Sequence[Walkers]) -> PairScores:
     """Scores of groups by pairs, with and without later frames."""
     return {
         (kind, "so far"): by_pairs(where, walkers, online(walkers)),
@@ -482,16 +442,30 @@ def work(job: GroupRun) -> GroupOutcome:
     return GroupOutcome({name: found_of(where, frames, name) for name in names}, grid, held, paired)
 
 
+def simulated_pairs(job: GroupRun) -> PairScores:
+    """Scores of groups by pairs in a simulated place, one for each seed."""
+    where = simulated(job.sequence, job.seed)
+    return both(where, KNOWN, known_walkers(where)) | both(
+        where, CORRECTED, tracked(where, job.seed)
+    )
+
+
 def main(options: Options) -> Path:
     """Run everything and write groups.md."""
     seeds = options.number(SEEDS, 1)
     names = tuple(SEQUENCES)[: 1 if options.quick else None]
     jobs = [GroupRun(name, seed) for name in names for seed in range(-1, seeds)]
     outcomes = dict(zip(jobs, in_parallel(work, jobs, "groups", options), strict=True))
-    return write("groups", options, **figures(outcomes, seeds))
+    places = [GroupRun(name, seed) for name in SIMULATED for seed in range(seeds)]
+    found = in_parallel(simulated_pairs, places, "groups, simulated", options)
+    return write(
+        "groups", options, **figures(outcomes, dict(zip(places, found, strict=True)), seeds)
+    )
 
 
-def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, object]:
+def figures(
+    outcomes: dict[GroupRun, GroupOutcome], places: dict[GroupRun, PairScores], seeds: int
+) -> dict[str, object]:
     """The values of the page's placeholders."""
     sources = _sources(outcomes, seeds)
     return {
@@ -527,15 +501,16 @@ def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, obj
                 "identity switches",
             ),
             [
-                (
-                    name,
-                    kind,
-                    when,
-                    *_means([out.pairs[kind, when] for out in found]),
-                    _pair_switches(found, kind, when),
-                )
+                row
                 for name, _, found in sources
-                for kind, when in found[0].pairs
+                for row in _pair_rows(name, [out.pairs for out in found])
+            ]
+            + [
+                row
+                for name in SIMULATED
+                for row in _pair_rows(
+                    name, [scores for run, scores in places.items() if run.sequence == name]
+                )
             ],
         ),
         "crowd": CROWD,
@@ -603,8 +578,18 @@ def _switches(found: Sequence[GroupOutcome], kind: str, hold: float) -> str:
     return with_error([float(outcome.held[kind, hold].switches) for outcome in found], 1)
 
 
-def _pair_switches(found: Sequence[GroupOutcome], kind: str, when: str) -> str:
-    return with_error([float(outcome.pairs[kind, when].switches) for outcome in found], 1)
+def _pair_rows(name: str, found: Sequence[PairScores]) -> list[tuple[str, ...]]:
+    """A row of the table of groups by pairs for each kind of people, of some runs."""
+    return [
+        (
+            name,
+            kind,
+            when,
+            *_means([scores[kind, when] for scores in found]),
+            with_error([float(scores[kind, when].switches) for scores in found], 1),
+        )
+        for kind, when in found[0]
+    ]
 
 
 def _size(name: str) -> tuple[object, ...]:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from experiments.groups import (
     CLUTTER,
@@ -10,17 +11,18 @@ from experiments.groups import (
     KNOWN,
     NOISE,
     People,
-    Positions,
     Seen,
-    WalkedScene,
+    both,
     by_frame,
     detected,
     found_of,
     known,
+    known_walkers,
     membership,
     over_time,
     read_groups,
 )
+from experiments.walked_scenes import SIMULATED, Positions, WalkedScene, simulated
 from phdtrack.groups.clusters import Grouping
 
 
@@ -81,3 +83,31 @@ def test_who_is_elsewhere_is_false_and_missed() -> None:
     far = People(first.member, first.place + [[0.5], [5.0]] * np.array([1, 1, 1, 0]), first.carrier)
     found = found_of(two_walks(), [Seen(frames[0].mixture, {KNOWN: far}), frames[1]], KNOWN)
     assert (found.share, found.false) == (5 / 8, 1.5)
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_simulated_companies_stay_together(name: str) -> None:
+    """And strangers keep their distance; the same seed gives the same people."""
+    where = simulated(name, 7, duration=60.0)
+    again = simulated(name, 7, duration=60.0)
+    assert np.array_equal(where.people.state, again.people.state)
+    apart = []
+    strangers = []
+    for number in where.number.tolist():
+        lo, hi = np.searchsorted(where.people.frame, [number, number + 1])
+        x, y = where.people.state[:2, lo:hi]
+        group = where.group[lo:hi]
+        i, j = np.triu_indices(hi - lo, 1)
+        distance = np.hypot(x[i] - x[j], y[i] - y[j])
+        same = (group[i] == group[j]) & (group[i] > 0)
+        apart.append(distance[same])
+        strangers.append(distance[~same])
+    assert np.median(np.concatenate(apart)) < 1.2
+    assert np.mean(np.concatenate(strangers) < 0.35) < 0.02
+
+
+def test_groups_are_found_on_a_simulated_square() -> None:
+    where = simulated("square", 11, duration=80.0)
+    scores = both(where, "people", known_walkers(where))
+    assert scores["people", "all"].f1() > 0.8
+    assert scores["people", "so far"].f1() > 0.7
