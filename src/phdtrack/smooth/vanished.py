@@ -1,11 +1,12 @@
 """Tracks that end as no target does.
 
 A filter says of a track, at its best, with which probability p it was a target. When all is known,
-its end speaks, too: a false alarm stops anywhere, after R detections on average; a target that is
-in view seldom does. It vanishes there at a rate h, or leaves the picture, or the record ends before
-it would have been detected again. After m detections the odds that a track is a target are
+its end speaks, too: a false alarm that comes again and again stops anywhere, after τ seconds on
+average; a target that is in view seldom does. It vanishes there at a rate h, or leaves the picture,
+or the record ends before it would have been detected again. After m detections in frames that are Δ
+seconds apart, the odds that a track is a target are
 
-    p/(1 − p) · 1/O · L R (1 − 1/R)^(1 − m)
+    p/(1 − p) · 1/O · L e^((m − 1)Δ/τ) / (1 − e^(−Δ/τ))
 
     L = Σ_k a_k (1 − s_k) + a_{n+1},   a_{k+1} = a_k s_k (1 − d)
 
@@ -14,9 +15,10 @@ e^(−hΔ) is the probability that it does not vanish in an interval Δ, and d t
 share of the frames of its track in which it was. O is by how much the best moment of a track
 flatters it. A track whose odds are below one is no target.
 
-How often targets vanish depends on the scene and on the detector. The rate is that of this
-sequence's own tracks, each counted with the probability that it is a target. This depends on the
-rate; both are found in turn, by expectation and maximisation.
+How often targets vanish depends on the scene and on the detector, and so does O. Both are those of
+this sequence's own tracks: h of each track with the probability that it is a target, and O so that
+as many are targets as the filter says, p/O by odds. Its logarithm has a Gaussian prior. The
+probabilities depend on both; all are found in turn, by expectation and maximisation.
 """
 
 from __future__ import annotations
@@ -32,16 +34,21 @@ from phdtrack.smooth.paths import Paths
 from phdtrack.smooth.sequence import Sequence, Smoothed
 from phdtrack.types import F8, Tracks
 
-# Detections after which, on average, a false alarm that comes again and again stops.
-REPEATED = 8.0
-# By how many times the odds of a track's best moment are too high (docs/decisions.md).
+# Seconds after which, on average, a false alarm that comes again and again stops.
+REPEATED = 0.5
+# By how many times the odds of a track's best moment are too high, before the sequence shows it
+# (docs/decisions.md), and the deviation of the logarithm.
 FLATTERY = 15.0
+FLATTERY_DEVIATION = 1.5
 # Frames after a track's end that are looked at.
 _FRAMES = 50
 # Seconds of tracks for which the model's rate of vanishing counts.
 _PRIOR = 10.0
-# How often the rate and the probabilities are found in turn.
-_TURNS = 10
+# How often the rate, the flattery and the probabilities are found in turn.
+_TURNS = 20
+# Bisections by which the flattery is found, between these factors of its prior.
+_BISECTIONS = 40
+_FACTORS = 1e10
 
 
 class Endings(NamedTuple):
@@ -54,12 +61,14 @@ class Endings(NamedTuple):
     missed : (K,) the probability that it is not detected in one of them.
     detected : (K,) the detections of each path.
     lasted : (K,) seconds from the first to the last.
+    usual : seconds between frames, as a rule.
     """
 
     intervals: F8
     missed: F8
     detected: F8
     lasted: F8
+    usual: float
 
 
 def without_vanished(
@@ -97,16 +106,41 @@ def target_probability(best: F8, endings: Endings, expected: float) -> tuple[F8,
     endings : of the paths.
     expected : the model's rate of vanishing, per second.
     """
-    log_odds = np.log(np.maximum(best, 1e-12)) - np.log(np.maximum(1 - best, 1e-12))
-    log_odds += math.log(REPEATED / FLATTERY) - (endings.detected - 1) * math.log1p(-1 / REPEATED)
+    claimed = np.log(np.maximum(best, 1e-12)) - np.log(np.maximum(1 - best, 1e-12))
+    step = endings.usual / REPEATED
+    stops = math.log(-math.expm1(-step)) - (endings.detected - 1) * step
     rate = expected
+    flattery = math.log(FLATTERY)
     target = best
     for _ in range(_TURNS):
         likelihood, inside = ending_likelihood(endings, rate)
-        target = 1 / (1 + np.exp(-log_odds) / likelihood)
+        target = 1 / (1 + np.exp(flattery + stops - claimed) / likelihood)
         often = (target * inside).sum() + expected * _PRIOR
         rate = float(often / ((target * endings.lasted).sum() + _PRIOR))
+        # The filter counts that a target did not vanish, too.
+        flattery = _flattery(claimed + rate * endings.lasted, float(target.sum()))
     return target, rate
+
+
+def _flattery(claimed: F8, targets: float) -> float:
+    """log O for which there are so many ``targets``, more or less, as its prior counts, too.
+
+    Parameters
+    ----------
+    claimed : (K,) log odds of each path, by the filter's evidence alone.
+    targets : the expected number of targets among them.
+    """
+    prior = math.log(FLATTERY)
+    low = prior - math.log(_FACTORS)
+    high = prior + math.log(_FACTORS)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        expected = (1 / (1 + np.exp(middle - claimed))).sum()
+        if expected - targets > (middle - prior) / FLATTERY_DEVIATION**2:
+            low = middle
+        else:
+            high = middle
+    return (low + high) / 2
 
 
 def ending_likelihood(endings: Endings, rate: float) -> tuple[F8, F8]:
@@ -148,7 +182,8 @@ def _endings(paths: Paths, states: Smoothed, sequence: Sequence) -> Endings:
     # A first detection is no evidence of how often it is detected.
     missed = 1 - seen / (np.diff(paths.start) + 1)
     lasted = (time[end] - time[paths.frame[paths.first]]) / sequence.rate
-    return Endings(intervals, missed, seen.astype(np.float64), lasted)
+    usual = float(np.median(np.diff(time))) / sequence.rate
+    return Endings(intervals, missed, seen.astype(np.float64), lasted, usual)
 
 
 def _vanishing(sequence: Sequence) -> float:
