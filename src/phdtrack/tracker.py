@@ -13,7 +13,7 @@ import logging
 import math
 import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
 from importlib import import_module
@@ -24,16 +24,19 @@ import numpy as np
 
 from phdtrack import config, pipeline
 from phdtrack.associate.history import HISTORY
+from phdtrack.detect.box_data import BoxDataBuffer, as_box_data
 from phdtrack.detect.colours import Colours
 from phdtrack.detect.convert import (
     DetectorOutput,
     DiscardedBoxes,
+    HasBoxes,
+    HasResult,
     as_detections,
     as_embeddings,
     unit_warning,
 )
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
-from phdtrack.input_checks import StreamSeen, checks_of
+from phdtrack.input_checks import StreamSeen, checks_of, longest_delay
 from phdtrack.models.warp import as_warp
 from phdtrack.multiclass import ClassPipelines, ClassSettings
 from phdtrack.protocols import AnyStages
@@ -175,6 +178,7 @@ class Tracker:
         self._seen = StreamSeen()
         # Numbers of an embedding; 0 before the first one.
         self._embedding_length = 0
+        self._box_data = BoxDataBuffer(longest_delay(self.classes))
         self.sequences += 1
 
     def update(
@@ -185,6 +189,7 @@ class Tracker:
         warp: Matrix | None = None,
         embeddings: Matrix | None = None,
         image: SupportsArray | None = None,
+        data: Mapping[str, object] | HasBoxes | HasResult | None = None,
     ) -> Tracks:
         """Take in one frame's detections; give the online rows that became final, which will not
         change: of this frame, or with an output delay of an earlier one.
@@ -210,13 +215,17 @@ class Tracker:
             unknown. They replace those of the object.
         image : (H, W, 3) uint8, the picture in which the boxes are, in place of embeddings; or
             (H, W) in grey. Blue, green, red as OpenCV reads it; another order is as good.
+        data : anything else of the boxes, as ``{"masks": masks, "names": names}``: arrays, tensors
+            or lists with an entry for each box, in their order; or the object of supervision or
+            Ultralytics, whose own data, masks and keypoints it means. `Tracks.data` gives it back
+            by row; it decides nothing.
 
         Raises
         ------
         InputError : boxes that are none, a frame that does not come after the last, a warp that is
             none, or one for a model that lies at fixed pixels or on the ground; embeddings of
-            another number of boxes, or of another length than before; an image of another size
-            than the frames, or beside embeddings.
+            another number of boxes, or of another length than before; data of another number
+            of boxes; an image of another size than the frames, or beside embeddings.
         KeyboardInterrupt : after Ctrl-C, when the frame is done; a second Ctrl-C ends at once.
         """
         number, time = self._moment(frame, timestamp)
@@ -236,6 +245,7 @@ class Tracker:
         moved = STILL
         if warp is not None:
             moved = as_warp(warp, f"{where}, update(warp=…)")
+        columns = {} if data is None else as_box_data(data, len(found), where)
         if len(moved):
             from phdtrack.models.scene import refuse_standing
 
@@ -252,7 +262,9 @@ class Tracker:
         self._warn(number, time, found, left_out, doubts)
         if any(left_out):
             self._left_out = self._left_out.with_more(left_out)
-        return self._step.tracks
+        if found.observed:
+            self._box_data.add(number, columns, len(found))
+        return self._box_data.attached(self._step.tracks)
 
     def _moment(self, frame: int | None, timestamp: float | None) -> tuple[int, float]:
         """Number and time of the frame of an `update`. Raises `InputError` as it says."""
@@ -422,11 +434,11 @@ class Tracker:
         """At the end, the online rows that the output delay holds back: a later `update` gives them
         again.
         """
-        return self._pipelines.flush()
+        return self._box_data.attached(self._pipelines.flush())
 
     def tracks(self) -> Tracks:
         """The corrected tracks of everything so far: short ones left out, gaps bridged, identities
-        of their own.
+        of their own. They have no `Tracks.data`, which nobody could keep for so long.
         """
         return self._pipelines.finish()
 
@@ -479,7 +491,8 @@ class Tracker:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides what comes next, as numbers, texts and bytes with a checksum (it
-        can be pickled).
+        can be pickled). The ``data`` of boxes decides nothing: where an output delay still holds
+        rows back, these have empty entries after `load_state_dict`.
         """
         return self.snapshot()()
 
@@ -540,6 +553,7 @@ class Tracker:
         self._warnings = warnings
         self._seen = seen.resumed()
         self._embedding_length = int(state.get("embedding_length", 0))
+        self._box_data = BoxDataBuffer(longest_delay(self.classes))
         self.sequences += 1
 
     def _check_saved(self, saved: Any, where: str, same_settings: bool) -> None:

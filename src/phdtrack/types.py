@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from phdtrack.errors import needed
+from phdtrack.row_data import Columns, stacked
 
 if TYPE_CHECKING:
     from phdtrack.kernels.appearance import Looks
@@ -683,6 +684,9 @@ class Tracks:
         detections of that frame as the caller gave them; −1: predicted or bridged.
     confirmed : (M,) bool; False for rows given before the track was long enough to be confirmed.
     class_id : (M,) int64; 0 if no classes are known.
+    data : by name, what `Tracker.update` got as ``data`` of each row's detection: arrays (M, …). A
+        row that no detection supports (`predicted`) has an empty entry: zeros, False, an empty
+        text, or None among Python objects. Corrected tracks have none.
     """
 
     frame: I8
@@ -692,6 +696,7 @@ class Tracks:
     detection: I8
     confirmed: Bool
     class_id: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    data: Columns = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not len(self.class_id):
@@ -741,11 +746,11 @@ class Tracks:
         parts : rows of any frames, none twice.
         """
         parts = parts or [cls.empty()]
-        columns = [
-            np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__
-        ]
+        columns: list[Any]
+        columns = [np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS]
+        data = stacked([part.data for part in parts], [len(part) for part in parts])
         order = np.lexsort((columns[1], columns[0]))
-        return cls(*(column[order] for column in columns))
+        return cls(*[*columns, data]).select(order)
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -757,7 +762,9 @@ class Tracks:
         ----------
         index : (K,) integers, or (M,) a mask.
         """
-        return Tracks(*(getattr(self, name)[index] for name in self.__slots__))
+        columns: list[Any] = [getattr(self, name)[index] for name in _COLUMNS]
+        data = {name: column[index] for name, column in self.data.items()}
+        return Tracks(*[*columns, data])
 
     def __getitem__(self, index: int | slice | I8 | Bool) -> Tracks:
         """The rows at ``index``: one, a slice, integers or a mask, in that order."""
@@ -773,6 +780,7 @@ class Tracks:
             self.detection,
             self.confirmed,
             class_id,
+            self.data,
         )
 
     def with_boxes(self, xyxy: F8) -> Tracks:
@@ -785,27 +793,31 @@ class Tracks:
             self.detection,
             self.confirmed,
             self.class_id,
+            self.data,
         )
 
     def to_dataframe(self) -> Any:
-        """A pandas DataFrame, a row each, with left, top, right, bottom for boxes. `InputError`
-        without pandas.
+        """A pandas DataFrame, a row each, with left, top, right, bottom for boxes, and `data`.
+        `InputError` without pandas.
         """
         boxes = dict(zip(("left", "top", "right", "bottom"), self.xyxy.T, strict=True))
-        return needed("pandas").DataFrame(
-            {name: getattr(self, name) for name in self.__slots__ if name != "xyxy"} | boxes
-        )
+        own = {name: getattr(self, name) for name in _COLUMNS if name != "xyxy"} | boxes
+        given = {name: list(column) for name, column in self.data.items() if name not in own}
+        return needed("pandas").DataFrame(own | given)
 
     def to_supervision(self) -> Any:
-        """supervision's Detections: identities are ``tracker_id``, the rest ``data``. `InputError`
-        without supervision.
+        """supervision's Detections: identities are ``tracker_id``, ``mask`` of `data` is the mask,
+        the rest ``data``. `InputError` without supervision.
         """
-        data = {name: getattr(self, name) for name in ("frame", "detection", "confirmed")}
+        data = {name: column for name, column in self.data.items() if name != "mask"}
+        data |= {name: getattr(self, name) for name in ("frame", "detection", "confirmed")}
         known = {
             "confidence": self.confidence,
             "class_id": self.class_id,
             "tracker_id": self.identity,
         }
+        if "mask" in self.data:
+            known["mask"] = self.data["mask"].astype(np.bool_)
         return needed("supervision").Detections(self.xyxy.astype(np.float32), data=data, **known)
 
     @property
@@ -816,6 +828,10 @@ class Tracks:
     def __iter__(self) -> Iterator[tuple[int, F8]]:
         """Pairs (identity, xyxy) in row order."""
         return ((int(i), box) for i, box in zip(self.identity, self.xyxy, strict=True))
+
+
+# The arrays of rows, in order.
+_COLUMNS = tuple(name for name in Tracks.__slots__ if name != "data")
 
 
 class Appeared(NamedTuple):

@@ -218,7 +218,8 @@ class Online(RunObserver):
 
 def assert_same(given: Tracks, expected: Tracks) -> None:
     """Every array is the same, to the last bit."""
-    for name in Tracks.__slots__:
+    assert (given.data, expected.data) == ({}, {})
+    for name in [name for name in Tracks.__slots__ if name != "data"]:
         ours = getattr(given, name)
         theirs = getattr(expected, name)
         np.testing.assert_array_equal(ours, theirs, err_msg=name)

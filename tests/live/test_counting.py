@@ -25,9 +25,7 @@ def walk(identity: int, feet: dict[int, float], label: int = 0) -> Tracks:
     """A person of 50 pixels, whose feet are at this height in each frame."""
     boxes = np.array([[90.0, y - 50, 110, y] for y in feet.values()]).reshape(-1, 4)
     rows = Tracks.of(np.array([*feet], np.int64), identity, boxes, 1.0, 0)
-    return Tracks(
-        *(getattr(rows, name) for name in Tracks.__slots__[:-1]), np.full(len(feet), label)
-    )
+    return rows.with_class(np.full(len(feet), label))
 
 
 def test_in_and_out_by_class_visits_and_occupancy() -> None:

@@ -189,6 +189,13 @@ class Delays(Protocol):
     output_delay: int
 
 
+def longest_delay(classes: ClassSettings) -> int:
+    """The frames by which online rows lag, of the class whose rows lag most."""
+    associators = [stages.associator for stages in (classes.usual, *classes.own.values())]
+    delays = [each.output_delay for each in associators if isinstance(each, Delays)]
+    return max(delays, default=0)
+
+
 def checks_of(classes: ClassSettings, fps: float) -> StreamChecks:
     """The checks of a tracker with these settings and this number of frames per second."""
     stages = classes.usual
