@@ -22,7 +22,7 @@ from phdtrack.groups.group_stages import OnlineGroups
 from phdtrack.live import checkpoint
 from phdtrack.live.engine import Camera, CameraParts, CameraSettings
 from phdtrack.live.events import Event, Maps, Watch
-from phdtrack.live.outputs import VideoLog, stamp
+from phdtrack.live.outputs import SnapshotLog, VideoLog, stamp
 from phdtrack.live.zones import Place, write_places
 from phdtrack.tracker import Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo
@@ -131,6 +131,40 @@ def test_who_walks_to_and_fro_is_counted_and_kept(tmp_path: Path) -> None:
     maps = one.running.maps
     row = int((50 + SIDE) / maps.cell)
     assert maps.people[row - 1 : row + 2].sum() > 0.95 * maps.people.sum() > 10
+
+
+def test_events_at_a_place_have_pictures_of_which_the_last_stay(tmp_path: Path) -> None:
+    source = Scripted(last=200)
+    one = camera(source, CameraSettings(tmp_path, watch=Watch((DOOR,)), video=0, snapshots=2))
+    until(lambda: source.through == 200)
+    assert one.stop(600.0)
+    known = events(tmp_path)
+    assert {"snapshot" in event for event in known if event["kind"] != "cross"} == {False}
+    named = [str(event["snapshot"]) for event in known if event["kind"] == "cross"]
+    assert len(named) == len(set(named)) >= 4
+    files = sorted((tmp_path / "snapshots").iterdir())
+    assert [file.relative_to(tmp_path).as_posix() for file in files] == named[-2:]
+    assert one.snapshots.newest == files[-1]
+    picture = cv2.imread(str(files[-1]))
+    # The box is drawn in the colour of its identity; the scene itself is grey.
+    coloured = np.ptp(picture.astype(int), axis=2) > 60
+    last = [event for event in known if event["kind"] == "cross"][-1]
+    y, x = np.nonzero(coloured)
+    assert abs(x.mean() - float(str(last["x"]))) < 40
+    assert abs(y.max() - float(str(last["y"]))) < 40
+
+
+def test_a_picture_that_cannot_be_written_stops_no_event(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: SnapshotLog, *given: object) -> Path:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(SnapshotLog, "write", full)
+    one = camera(Scripted(), CameraSettings(tmp_path, watch=Watch((DOOR,)), video=0, snapshots=2))
+    until(lambda: one.counted["cross"] > 1)
+    assert "a picture of an event cannot be written: no space left" in "\n".join(one.problems)
+    assert one.stop(600.0)
 
 
 def test_a_restart_gives_events_names_of_their_own(tmp_path: Path) -> None:

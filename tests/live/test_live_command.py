@@ -255,6 +255,7 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
         parquet=True,
         dwell=7.0,
         leave_after=2.0,
+        snapshots=30,
     )
     found = {name: camera_settings(name, write, None, tmp_path) for name in ("a", "b")}
     usual = CameraSettings(
@@ -266,6 +267,7 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
         2000,
         True,
         checkpoint=10.0,
+        snapshots=30,
     )
     assert found == {
         "a": replace(usual, folder=tmp_path / "a", places=Path("mine.toml")),
@@ -291,6 +293,7 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
             "expected an address that begins with http",
         ),
         (["0", "--mqtt", "mqtt://localhost"], "pip install 'phdtrack[mqtt]'"),
+        (["0", "--home-assistant"], "--home-assistant: no broker is given"),
         (["0", "--truth", "gt.txt"], "no annotated truth"),
         (["0", "--filter", "magic"], "magic"),
         (["0", "--detector", "magic"], "no detector 'magic'"),

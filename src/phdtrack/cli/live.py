@@ -33,6 +33,7 @@ from phdtrack.live.checkpoint import EVERY
 from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook, receivers
 from phdtrack.live.engine import UNHEALTHY, Camera, CameraSettings
 from phdtrack.live.events import Watch
+from phdtrack.live.home_assistant import HomeAssistant
 from phdtrack.live.outputs import stamp
 from phdtrack.run import directory as rundir
 from phdtrack.run.choices import scene_settings
@@ -51,6 +52,10 @@ _QUOTA = (
     "Keep at most so much of the rows, and of the videos, of each camera, as 20GB. Default: all."
 )
 _UNHEALTHY = "Seconds without a picture of a camera after which /healthz answers 503."
+_HOME_ASSISTANT = (
+    "Announce cameras, lines and zones to Home Assistant through the broker of --mqtt."
+)
+_SNAPSHOTS = "Keep pictures (JPEG) of the last N events at lines and zones of each camera; 0: none."
 _SAVED = "Seconds between checkpoints, from which a restart continues; 0: none."
 _SOURCES = (
     "An address (rtsp:// or http://), the number of a camera, or a video. NAME=ADDRESS names it."
@@ -71,10 +76,12 @@ class LiveOptions:
     mqtt: Annotated[
         str, option("URL", "Publish each event: mqtt://[user:password@]host[:port]/topic.")
     ] = ""
+    home_assistant: Annotated[bool, typer.Option("--home-assistant", help=_HOME_ASSISTANT)] = False
     video: Annotated[
         float,
         option("FPS", "Pictures a second of the annotated videos; 0: none.", min=0.0, max=60.0),
     ] = 5.0
+    snapshots: Annotated[int, option("N", _SNAPSHOTS, min=0, max=100_000)] = 0
     quota: Annotated[
         str, option("SIZE", _QUOTA, callback=lambda text: text if size(text) else "")
     ] = ""
@@ -123,6 +130,7 @@ def live(
     addresses = named_sources(sources)
     for url in write.webhook or []:
         Webhook(_with_secrets(url, "--webhook"))
+    assistant = _home_assistant(write)
     # Locked as long as it is held.
     directory = rundir.claim(out, False, {})
     server = _Server(at) if page else None
@@ -152,11 +160,11 @@ def live(
             server.start(cameras, output, write.unhealthy_after)
         if reports:
             output.say(reports)
-        _attend(cameras, lines, output, time.monotonic() + (duration or math.inf))
+        _attend(cameras, lines, output, time.monotonic() + (duration or math.inf), assistant)
     except KeyboardInterrupt:
         signals.last_chance("stopped; the files are being completed")
     finally:
-        cut = _end(cameras)
+        cut = _end(cameras, assistant)
     _print(lines, output)
     for one in cameras:
         events = counted(one.counted.total(), "event")
@@ -219,6 +227,7 @@ def camera_settings(
         parquet=write.parquet,
         blur=write.blur,
         checkpoint=write.checkpoint_every,
+        snapshots=write.snapshots,
     )
 
 
@@ -277,14 +286,32 @@ class _Server:
         output.page(self._address.url)
 
 
+def _home_assistant(write: LiveOptions) -> HomeAssistant | None:
+    """Home Assistant behind the broker, if it is to know the cameras. Raises `InputError` without a
+    broker.
+    """
+    if not write.home_assistant:
+        return None
+    if not write.mqtt:
+        cure = "Say --mqtt mqtt://[user:password@]host[:port]/topic as well."
+        raise InputError("no broker is given", where="--home-assistant", cure=cure)
+    return HomeAssistant(_with_secrets(write.mqtt, "--mqtt"))
+
+
 def _attend(
-    cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], output: Output, end: float
+    cameras: Sequence[Camera],
+    lines: queue.Queue[dict[str, object]],
+    output: Output,
+    end: float,
+    assistant: HomeAssistant | None,
 ) -> None:
-    """Print changes of the sources' states, and warnings, until the end."""
+    """Print changes of the sources' states, and warnings, until the end; tell Home Assistant."""
     said = dict[str, tuple[str, ...]]()
     warned = dict[str, int]()
     while time.monotonic() < end:
         _warn(cameras, output, warned)
+        if assistant is not None:
+            assistant.update(cameras, time.monotonic())
         for one in cameras:
             status = one.source.status()
             now = (*logged_state(status), *one.problems)
@@ -352,9 +379,12 @@ def _print(lines: queue.Queue[dict[str, object]], output: Output, wait: float = 
             line = lines.get_nowait()
 
 
-def _end(cameras: Sequence[Camera]) -> list[str]:
+def _end(cameras: Sequence[Camera], assistant: HomeAssistant | None) -> list[str]:
     """End all cameras, and give the names of those whose files are not complete."""
     end = time.monotonic() + _ENDING
     for one in cameras:
         one.ask_to_stop()
-    return [one.name for one in cameras if not one.stop(max(0.1, end - time.monotonic()))]
+    cut = [one.name for one in cameras if not one.stop(max(0.1, end - time.monotonic()))]
+    if assistant is not None:
+        assistant.stop()
+    return cut

@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import SplitResult, unquote, urlsplit
 
 from phdtrack.errors import InputError, needed
@@ -169,6 +169,47 @@ def paho_client() -> Any:
     return needed("paho.mqtt.client").Client(version)
 
 
+class Broker(NamedTuple):
+    """The parts of a broker's address, as ``mqtt://[user:password@]host[:port]/topic``.
+
+    Attributes
+    ----------
+    host, port, topic : where it listens, and where events go.
+    user, password : empty without.
+    encrypted : whether the connection is by TLS.
+    """
+
+    host: str
+    port: int
+    topic: str
+    user: str
+    password: str
+    encrypted: bool
+
+    @classmethod
+    def of(cls, url: str) -> Broker:
+        """The parts of an address. Raises `InputError` if it is invalid."""
+        parts = _parts(url, "--mqtt")
+        if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
+            raise InputError(
+                "expected an address that begins with mqtt:// or mqtts://", where="--mqtt"
+            )
+        topic = parts.path.strip("/") or "phdtrack"
+        if set(topic) & set("+#"):
+            raise InputError("expected a topic without the wildcards + and #", where="--mqtt")
+        encrypted = parts.scheme == "mqtts"
+        port = parts.port or (8883 if encrypted else 1883)
+        user = unquote(parts.username or "")
+        return cls(parts.hostname, port, topic, user, unquote(parts.password or ""), encrypted)
+
+    def log_in(self, client: Any) -> None:
+        """Give user, password and encryption to a client with the methods of paho-mqtt's."""
+        if self.user:
+            client.username_pw_set(self.user, self.password)
+        if self.encrypted:
+            client.tls_set()
+
+
 class Mqtt:
     """Publishes each event to ``topic``/kind of a broker
     (``mqtt://[user:password@]host[:port]/topic``), at least once.
@@ -184,37 +225,25 @@ class Mqtt:
     """
 
     def __init__(self, url: str, make_client: Callable[[], Any] = paho_client) -> None:
-        parts = _parts(url, "--mqtt")
-        if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
-            raise InputError(
-                "expected an address that begins with mqtt:// or mqtts://", where="--mqtt"
-            )
-        self._topic = parts.path.strip("/") or "phdtrack"
-        if set(self._topic) & set("+#"):
-            raise InputError("expected a topic without the wildcards + and #", where="--mqtt")
+        self._broker = Broker.of(url)
         # The last event that the client got, and its number there; the numbers that the broker has
         # confirmed.
         self._published = ("", 0)
         self._confirmed = set[int]()
         self._news = threading.Condition()
-        self._host = parts.hostname
-        self._port = parts.port or (8883 if parts.scheme == "mqtts" else 1883)
         self._client = make_client()
         self._client.on_publish = self._confirm
-        if parts.username:
-            self._client.username_pw_set(unquote(parts.username), unquote(parts.password or ""))
-        if parts.scheme == "mqtts":
-            self._client.tls_set()
+        self._broker.log_in(self._client)
 
     def __call__(self, name: str, event: str) -> None:
         """Publish one event. Raises `OSError` if the broker does not confirm it in ten seconds."""
         if not self._client.is_connected():
-            self._client.connect(self._host, self._port)
+            self._client.connect(self._broker.host, self._broker.port)
             self._client.loop_start()
         if self._published[0] != name:
             # The client itself repeats unconfirmed events, also over a new connection: an event
             # that is published twice arrives twice.
-            topic = f"{self._topic}/{json.loads(event)['kind']}"
+            topic = f"{self._broker.topic}/{json.loads(event)['kind']}"
             self._published = name, int(self._client.publish(topic, event, qos=1).mid)
         with self._news:
             if not self._news.wait_for(lambda: self._published[1] in self._confirmed, TIMEOUT):

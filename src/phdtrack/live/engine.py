@@ -32,9 +32,10 @@ from phdtrack.live.checkpoint import (
 )
 from phdtrack.live.delivery import Courier
 from phdtrack.live.events import Event, Maps, Minute, Watch, WatchState
-from phdtrack.live.outputs import EventLog, RowsLog, VideoLog, stamp
+from phdtrack.live.outputs import EventLog, RowsLog, SnapshotLog, VideoLog, stamp
 from phdtrack.live.zones import read_places
 from phdtrack.multiclass import ClassSettings
+from phdtrack.opencv_package import cv2
 from phdtrack.report import Annotator
 from phdtrack.report.drawing import feet
 from phdtrack.run.camera_motion import Mover
@@ -73,6 +74,7 @@ UNHEALTHY = 30.0
 _REST = 0.05
 _AGAIN = 1.0
 _SETTLED = 0.5
+_SNAPSHOT_QUALITY = 85
 
 
 class CameraParts(NamedTuple):
@@ -116,6 +118,7 @@ class CameraSettings:
     blur : ``boxes`` or ``faces`` to pixelate them in every picture; empty for nothing.
     checkpoint : seconds between checkpoints, from which a restart continues; 0 for none.
     reports : a sentence about what the detector reports, if that is not objects.
+    snapshots : pictures of events at lines and zones that are kept; 0: none.
     """
 
     folder: Path
@@ -128,6 +131,7 @@ class CameraSettings:
     blur: str = ""
     checkpoint: float = 0.0
     reports: str = ""
+    snapshots: int = 0
 
 
 class Running(NamedTuple):
@@ -224,9 +228,9 @@ class Camera:
         self.checkpoints = Checkpoints(settings.folder, settings.checkpoint, clock)
         self.log = EventLog(settings.folder)
         self.rows = RowsLog(settings.folder / "tracks", settings.quota, parquet=settings.parquet)
-        self._video: VideoLog | None = None
-        if settings.video:
-            self._video = VideoLog(settings.folder / "video", settings.video, settings.quota)
+        folder = settings.folder / "video"
+        self._video = VideoLog(folder, settings.video, settings.quota) if settings.video else None
+        self.snapshots = SnapshotLog(settings.folder / "snapshots", settings.snapshots)
         self.watched: tuple[Watch, WatchState] = (settings.watch, settings.watch.start())
         """The settings of what is watched, and its state: who is there, and the counts."""
         # What went wrong, by what it concerns.
@@ -628,7 +632,13 @@ class Camera:
                 *(Event.of_group(one, k) for k, one in enumerate(found, len(events))),
             )
         self._finished = frame.number
-        self._tell(events, frame.wall)
+        picture: Image | None = None
+        snapshot: Path | None = None
+        pictured = self.settings.snapshots and frame.image.size
+        if pictured and any(one.place for one in events):
+            picture = _annotated(running, held, rows)
+            snapshot = self._saved(picture, frame)
+        self._tell(events, frame.wall, snapshot)
         self.rows.write(rows, frame.wall)
         self._latency.append(max(0.0, time.time() - frame.wall))
         probability = step.info.clutter_probability
@@ -644,15 +654,8 @@ class Camera:
         recorded = self._video is not None and self._video.due(frame.wall)
         if not recorded and self._clock() - self._asked > _WATCHED:
             return
-        picture = running.annotate(
-            frame.image,
-            frame.number,
-            rows,
-            step.detections,
-            mass=step.info.mass,
-            clutter_probability=probability,
-            time=frame.time,
-        )
+        if picture is None:
+            picture = _annotated(running, held, rows)
         with self._fresh:
             boxes = np.vstack([rows.xyxy, step.detections.xyxy])
             self._drawn = (frame.number, picture)
@@ -661,12 +664,39 @@ class Camera:
         if recorded and self._video is not None:
             self._video.write(picture, frame.wall)
 
-    def _tell(self, events: Sequence[Event], wall: float = 0.0, *, last: bool = False) -> None:
+    def _saved(self, picture: Image, frame: LiveFrame) -> Path | None:
+        """The file of the picture of an event; None if it cannot be written, which is reported."""
+        data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _SNAPSHOT_QUALITY])[1]
+        try:
+            file = self.snapshots.write(data.tobytes(), frame.number, frame.wall)
+        except OSError as error:
+            self._problems["snapshots"] = f"a picture of an event cannot be written: {error}"
+            return None
+        self._problems.pop("snapshots", None)
+        return file
+
+    def _tell(
+        self,
+        events: Sequence[Event],
+        wall: float = 0.0,
+        snapshot: Path | None = None,
+        *,
+        last: bool = False,
+    ) -> None:
         """Log the events of a frame and report them. Events that could not be written come first
         the next time, or now if it is the ``last`` one.
+
+        Parameters
+        ----------
+        events, wall : of a frame, and its seconds since 1970.
+        snapshot : its picture, if there is one.
         """
         watch, state = self.watched
-        self._unwritten.extend(one.as_dict(self.name, stamp(wall), watch.names) for one in events)
+        for one in events:
+            told = one.as_dict(self.name, stamp(wall), watch.names)
+            if snapshot is not None and one.place:
+                told["snapshot"] = snapshot.relative_to(self.settings.folder).as_posix()
+            self._unwritten.append(told)
         if not (self._unwritten or self.log.problem) or (
             self._clock() < self._patient and not last
         ):
@@ -693,6 +723,19 @@ class Camera:
         self._unwritten.clear()
         for courier in self._couriers:
             courier.wake()
+
+
+def _annotated(running: Running, held: _HeldFrame, rows: Tracks) -> Image:
+    """The picture of a frame with its rows."""
+    return running.annotate(
+        held.frame.image,
+        held.frame.number,
+        rows,
+        held.step.detections,
+        mass=held.step.info.mass,
+        clutter_probability=held.step.info.clutter_probability,
+        time=held.frame.time,
+    )
 
 
 def _held_frame(saved: HeldFrame) -> _HeldFrame:

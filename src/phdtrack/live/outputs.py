@@ -4,6 +4,8 @@ Each camera has a folder:
 
 * ``tracks/2026-11-24T05.csv``: the online rows of an hour (UTC), or ``.parquet``;
 * ``video/2026-11-24T05-10-00.mp4``: annotated pictures, ten minutes each;
+* ``snapshots/2026-11-24T05-10-00.250Z-321.jpg``: the annotated picture of events at a place, with
+  its frame number; the last ones;
 * ``events.sqlite``: a table of events, and the last event that each receiver has;
 * ``events.jsonl``: the events as JSON lines.
 
@@ -277,6 +279,35 @@ class VideoLog:
             self._video.close()
             self._video = None
             self._segments.finish()
+
+
+class SnapshotLog:
+    """Pictures of events as JPEG files; beyond the ``most`` the oldest are removed."""
+
+    def __init__(self, folder: Path, most: int) -> None:
+        self._folder = folder
+        self._most = most
+        self.newest: Path | None = None
+        """The last one that was written."""
+        if most:
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def write(self, picture: bytes, number: int, wall: float) -> Path:
+        """Write a picture, and return its file. Raises `OSError` if it cannot be written.
+
+        Parameters
+        ----------
+        picture : JPEG.
+        number, wall : of the frame, and its seconds since 1970.
+        """
+        file = self._folder / f"{stamp(wall).replace(':', '-')}-{number}.jpg"
+        with whole(file) as part:
+            part.write_bytes(picture)
+        # The names begin with the time.
+        for old in sorted(self._folder.glob("*.jpg"))[: -self._most]:
+            old.unlink(missing_ok=True)
+        self.newest = file
+        return file
 
 
 class EventLog:
