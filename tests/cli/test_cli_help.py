@@ -162,7 +162,10 @@ def test_commands_are_listed_whole_in_the_order_of_work() -> None:
 def test_options_of_a_batch_have_the_help_of_track() -> None:
     said = phdtrack("batch", "a.mp4", "--out", "all", "--", "--help")
     assert said.status == 0, said.err
-    assert panels(said.out) == panels(page("track"))
+    expected = panels(page("track"))
+    # Processes side by side, or on other machines, have no windows.
+    expected["Output"].remove("display")
+    assert panels(said.out) == expected
 
 
 def test_count_has_the_options_of_track() -> None:

@@ -17,7 +17,7 @@ from phdtrack.addresses import shown
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
-from phdtrack.cli.track import command_line, run_and_print
+from phdtrack.cli.track import prepare_with_window, run_and_print
 from phdtrack.clock import Clock
 from phdtrack.detect.convert import check_units
 from phdtrack.detect.moving_regions import reported_kind
@@ -31,7 +31,6 @@ from phdtrack.report.pages import render
 from phdtrack.run import directory as rundir
 from phdtrack.run.directory import RunDirectory, RunTracks
 from phdtrack.run.inputs import TABLES, readable_again
-from phdtrack.run.preparation import prepare
 from phdtrack.run.requests import (
     CHECKPOINT_EVERY,
     OutputRequest,
@@ -73,6 +72,7 @@ class CountOptions:
     video: Annotated[
         bool, typer.Option("--video", help="Write counts.mp4: the video with running counts.")
     ] = False
+    display: given.Display = False
     frames: given.Frames = ""
     camera_motion: given.CameraMotion = ""
     checkpoint_every: given.CheckpointEvery = CHECKPOINT_EVERY
@@ -126,7 +126,7 @@ def _count_tracked(request: RunRequest, watch: Watch, output: Output, asked: Cou
     if source and not readable_again(source):
         cure = "Use phdtrack live, which counts, too."
         raise InputError("a camera has no end", where=shown(source), cure=cure)
-    prepared = prepare(request, command_line())
+    prepared = prepare_with_window(request, display=asked.display)
     inputs = prepared.inputs
     video = None
     if inputs.pictures:
@@ -217,6 +217,7 @@ def _refuse_tracking(
     del used["reading"]
     used |= asdict(options)
     used |= {"frames": asked.frames, "camera_motion": asked.camera_motion}
+    used |= {"display": asked.display}
     words = {"filter_name": "filter", "sets": "set"}
     problem = f"the tracks come from {path}: nothing is tracked"
     refuse(

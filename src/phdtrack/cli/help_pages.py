@@ -38,8 +38,8 @@ _PANELS = {
     "Events": "webhook allow-private mqtt home-assistant",
     "Page": "host port page browser allow-host certificate key unhealthy-after",
     "Output": (
-        "to out overwrite resume video video-size snapshots blur quota parquet duration all json"
-        " quiet"
+        "to out overwrite resume video video-size display snapshots blur quota parquet duration"
+        " all json quiet"
     ),
     _MORE: "seed threads max-detections checkpoint-every max-file-size version help",
 }

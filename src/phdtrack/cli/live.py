@@ -12,7 +12,7 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,12 +38,16 @@ from phdtrack.live.outputs import stamp
 from phdtrack.run import directory as rundir
 from phdtrack.run.choices import scene_settings
 from phdtrack.run.requests import DEFAULT_DETECTOR, TrackingRequest, refuse
+from phdtrack.run.window import Window, check_windows
 from phdtrack.video.live_sources import LiveSource, SourceStatus, check_address
 
 Names = Mapping[int, str] | None
 # Seconds that all cameras may take to end; lines that may wait for a slow reader.
 _ENDING = 1.5
 _LINES = 10_000
+# Seconds between two looks at what is to be printed, and at what is to be shown in windows.
+_PRINTED_EVERY = 0.2
+_SHOWN_EVERY = 0.03
 _PLACES = (
     "Lines and zones, read again when they change; NAME=FILE: of one camera. Default: places.toml"
     " in the folder of each."
@@ -110,6 +114,7 @@ def live(
     scene: given.SceneFile = None,
     learn: given.Learn = True,
     page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page, or not.")] = True,
+    display: given.Display = False,
     duration: Annotated[
         float, option("S", "End after so many seconds. Default: at Ctrl-C.", min=0.0)
     ] = 0.0,
@@ -130,7 +135,7 @@ def live(
     addresses = named_sources(sources)
     for url in write.webhook or []:
         Webhook(_with_secrets(url, "--webhook"))
-    assistant = _home_assistant(write)
+    watchers = _Watchers(_home_assistant(write), _windows(addresses) if display else ())
     # Locked as long as it is held.
     directory = rundir.claim(out, False, {})
     server = _Server(at) if page else None
@@ -160,11 +165,12 @@ def live(
             server.start(cameras, output, write.unhealthy_after)
         if reports:
             output.say(reports)
-        _attend(cameras, lines, output, time.monotonic() + (duration or math.inf), assistant)
+        _attend(cameras, lines, output, time.monotonic() + (duration or math.inf), watchers)
     except KeyboardInterrupt:
         signals.last_chance("stopped; the files are being completed")
     finally:
-        cut = _end(cameras, assistant)
+        cut = _end(cameras)
+        watchers.stop()
     _print(lines, output)
     for one in cameras:
         events = counted(one.counted.total(), "event")
@@ -298,20 +304,52 @@ def _home_assistant(write: LiveOptions) -> HomeAssistant | None:
     return HomeAssistant(_with_secrets(write.mqtt, "--mqtt"))
 
 
+class _Watchers:
+    """Home Assistant, if it is to know the cameras, and a window for each camera, or none."""
+
+    def __init__(self, assistant: HomeAssistant | None, windows: Sequence[Window]) -> None:
+        self._assistant = assistant
+        self._windows = windows
+        self.pause = _SHOWN_EVERY if windows else _PRINTED_EVERY
+        """Seconds between two updates."""
+
+    def update(self, cameras: Sequence[Camera]) -> None:
+        """Tell them what is new. Raises `KeyboardInterrupt` if Q is pressed in a window."""
+        if self._assistant is not None:
+            self._assistant.update(cameras, time.monotonic())
+        for k, window in enumerate(self._windows):
+            image = cameras[k].picture()[1]
+            # The same picture again if there is no other: the window needs attention meanwhile.
+            if image is not None:
+                window.show(image)
+
+    def stop(self) -> None:
+        """Say that it has ended, and close the windows."""
+        if self._assistant is not None:
+            self._assistant.stop()
+        for window in self._windows:
+            window.close()
+
+
+def _windows(names: Iterable[str]) -> list[Window]:
+    """A window for each camera of these names. Raises `InputError` if there can be none."""
+    check_windows()
+    return [Window(f"phdtrack {name}") for name in names]
+
+
 def _attend(
     cameras: Sequence[Camera],
     lines: queue.Queue[dict[str, object]],
     output: Output,
     end: float,
-    assistant: HomeAssistant | None,
+    watchers: _Watchers,
 ) -> None:
-    """Print changes of the sources' states, and warnings, until the end; tell Home Assistant."""
+    """Print changes of the sources' states, and warnings, until the end; tell the watchers."""
     said = dict[str, tuple[str, ...]]()
     warned = dict[str, int]()
     while time.monotonic() < end:
         _warn(cameras, output, warned)
-        if assistant is not None:
-            assistant.update(cameras, time.monotonic())
+        watchers.update(cameras)
         for one in cameras:
             status = one.source.status()
             now = (*logged_state(status), *one.problems)
@@ -337,7 +375,7 @@ def _attend(
                     lines.put_nowait(line)
             elif now[0] != "connecting" or now[1:] != ("",):
                 _log(output, ": ".join(filter(None, (one.name, *now))))
-        _print(lines, output, 0.2)
+        _print(lines, output, watchers.pause)
 
 
 def _warn(cameras: Sequence[Camera], output: Output, said: dict[str, int]) -> None:
@@ -379,12 +417,9 @@ def _print(lines: queue.Queue[dict[str, object]], output: Output, wait: float = 
             line = lines.get_nowait()
 
 
-def _end(cameras: Sequence[Camera], assistant: HomeAssistant | None) -> list[str]:
+def _end(cameras: Sequence[Camera]) -> list[str]:
     """End all cameras, and give the names of those whose files are not complete."""
     end = time.monotonic() + _ENDING
     for one in cameras:
         one.ask_to_stop()
-    cut = [one.name for one in cameras if not one.stop(max(0.1, end - time.monotonic()))]
-    if assistant is not None:
-        assistant.stop()
-    return cut
+    return [one.name for one in cameras if not one.stop(max(0.1, end - time.monotonic()))]

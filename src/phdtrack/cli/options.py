@@ -219,6 +219,12 @@ _BLUR = "Pixelate boxes, or faces (the upper third of boxes), in all pictures an
 Blur = Annotated[
     str, option("boxes|faces", _BLUR, callback=lambda value: one_of(value, "", "boxes", "faces"))
 ]
+Display = Annotated[
+    bool,
+    typer.Option(
+        "--display", help="Show the tracked frames in a window; Q in it ends, as Ctrl-C does."
+    ),
+]
 Dwell = Annotated[
     float, option("S", "Seconds in a zone before a dwell event is reported.", min=0.1)
 ]

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Mapping
+from dataclasses import replace
 
 from phdtrack.addresses import shown
 from phdtrack.cli import options as given
 from phdtrack.cli.output import Output
+from phdtrack.errors import InputError
 from phdtrack.run import directory as rundir
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.preparation import PreparedRun, claim_directory, is_complete, prepare
 from phdtrack.run.requests import RunRequest
 from phdtrack.run.video import RunResult
+from phdtrack.run.window import Viewer, Window, check_windows
 
 
 def track(
     request: RunRequest,
     output: Output,
     max_file_size: given.MaxFileSize = "",
+    display: given.Display = False,
 ) -> None:
     """Track the objects in a video, or in a file of detections.
 
@@ -35,7 +40,29 @@ def track(
     report.html and run.json. A video that is cut short is tracked as far as it goes, with a
     warning. Ctrl-C saves partial results; --resume continues, also after a run was killed.
     """
-    run_and_print(output, prepare(request, command_line()), request)
+    run_and_print(output, prepare_with_window(request, display=display), request)
+
+
+def prepare_with_window(request: RunRequest, *, display: bool) -> PreparedRun:
+    """The run that a request stands for, shown in a window if the user wants it. Raises
+    `InputError` if there can be no window, or nothing in it.
+    """
+    if not display:
+        return prepare(request, command_line())
+    check_windows()
+    prepared = prepare(request, command_line())
+    inputs = prepared.inputs
+    if not inputs.pictures:
+        cure = "Name the video beside --detections."
+        raise InputError("there are no pictures to show", where="--display", cure=cure)
+    options = prepared.options
+    names: Mapping[int, str] | None = None
+    if inputs.names is not None and prepared.classes.apart:
+        names = prepared.classes.names
+    window = Window("phdtrack")
+    viewer = Viewer(window, inputs.info, names, request.output.blur, options.delay)
+    # Detections of an earlier run have no pictures.
+    return replace(prepared, options=replace(options, viewer=viewer, detect_again=True))
 
 
 def command_line() -> str:

@@ -20,7 +20,7 @@ from phdtrack.run.camera_motion import Mover
 from phdtrack.run.detection_log import source_of
 from phdtrack.run.directory import RunDirectory
 from phdtrack.run.inputs import Inputs
-from phdtrack.run.loop import TrackedFrame
+from phdtrack.run.loop import FrameObserver, TrackedFrame
 from phdtrack.run.observers import RunObserver
 from phdtrack.run.reporter import SILENT, Reporter
 from phdtrack.tracker import Tracker
@@ -51,6 +51,8 @@ class RunOptions:
     detect_again : do not reuse detections of an earlier run.
     checkpoint_every : seconds between checkpoints; 0 for none.
     learn : whether a first pass teaches the scene (`scene_pass`).
+    viewer : takes in every frame once, with its picture; None for none. It needs detections that
+        are made anew, as kept ones have no pictures.
     """
 
     about: About = field(default_factory=About)
@@ -68,6 +70,7 @@ class RunOptions:
     detect_again: bool = False
     checkpoint_every: float = 0.0
     learn: bool = False
+    viewer: FrameObserver | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -185,6 +185,8 @@ def _track(run: Run, advance: Advance, lesson: SceneLesson | None = None) -> Pro
     if lesson is not None:
         first = replace(run, observers=())
         more = (lesson,)
+    if run.options.viewer is not None:
+        more = (*more, run.options.viewer)
     _follow(first, progress, _detected(run, log), advance, more)
     problems = (inputs.source.problem, log.problem if log else "")
     progress.source_problem = ". ".join(filter(None, problems))
