@@ -4,6 +4,7 @@ what is refused.
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import cv2
@@ -71,6 +72,33 @@ def test_a_run_has_events_a_picture_a_video_and_a_section(run: Path) -> None:
     page = (run / "out" / "report.html").read_text()
     assert "Lines and zones" in page
     assert ">middle<" in page
+
+
+def test_ways_between_zones_are_a_file_and_in_the_page(run: Path, tmp_path: Path) -> None:
+    zones = ("--zone", "west=0,0,150,0,150,240,0,240", "--zone", "east=170,0,320,0,320,240,170,240")
+    said = phdtrack("count", run / "out", *zones, "--out", tmp_path / "two", "--json")
+    assert said.status == 0, said.err
+    ways = {(one["start"], one["end"]): one["objects"] for one in said.object["flows"]}
+    # Two people cross the frame, one each way.
+    assert ways == {("west", "east"): 1, ("east", "west"): 1}
+    with (tmp_path / "two" / "flows.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["from"], row["to"], row["objects"]) for row in rows] == [
+        ("west", "east", "1"),
+        ("east", "west", "1"),
+    ]
+    for name in ("counts_minutes.csv", "counts_hours.csv"):
+        with (tmp_path / "two" / name).open() as file:
+            sums = list(csv.DictReader(file))
+        assert [(row["start"], row["place"], row["in"]) for row in sums] == [
+            ("0.000", "west", "2"),
+            ("0.000", "east", "2"),
+        ]
+    page = (tmp_path / "two" / "counts.html").read_text()
+    assert "From zone to zone" in page
+    assert page.count("Bar chart of passages in and out of") == 2
+    # One zone has no ways.
+    assert not (run / "out" / "flows.csv").exists()
 
 
 def test_count_takes_the_frames_and_motion_of_track(run: Path, tmp_path: Path) -> None:

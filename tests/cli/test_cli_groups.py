@@ -24,7 +24,8 @@ CAMERA = (
 )
 FRAMES = 40
 RATE = 10.0
-FILES = {name for name in rundir.RUN_FILES if not name.startswith("counts.")} - {
+FILES = {name for name in rundir.RUN_FILES if not name.startswith("counts")} - {
+    rundir.FLOWS,
     rundir.CAMERA_MOTION,
     rundir.EMBEDDINGS,
 }

@@ -22,6 +22,7 @@ FILES = {
     rundir.DETECTIONS,
     rundir.OBJECTS,
     rundir.MINUTES,
+    rundir.HOURS,
     rundir.REPORT,
     rundir.RUN,
 }

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.live.events import Watch, place_events, tallies
+from phdtrack.live.events import Event, Watch, place_events, tallies
+from phdtrack.live.flows import flows, flows_csv, passages, passages_csv, stays
 from phdtrack.live.zones import Place
 from phdtrack.types import Tracks
 
@@ -94,3 +95,67 @@ def test_a_return_after_leaving_begins_another_visit() -> None:
 def test_no_tracks() -> None:
     assert place_events(WATCH, Tracks.empty(), 0, FPS) == []
     assert [one.entered for one in tallies(WATCH, [], 0.0, 0.0)] == [0, 0]
+
+
+LEFT = Place("left", ((0.0, 0.0), (50.0, 0.0), (50.0, 200.0), (0.0, 200.0)), closed=True)
+RIGHT = Place("right", ((150.0, 0.0), (200.0, 0.0), (200.0, 200.0), (150.0, 200.0)), closed=True)
+FAR = Place("far", ((900.0, 0.0), (950.0, 0.0), (950.0, 200.0), (900.0, 200.0)), closed=True)
+ZONES = Watch((LEFT, RIGHT, FAR), leave_after=3.0)
+
+
+def across(identity: int, x: dict[int, float]) -> Tracks:
+    """A person whose feet are at this place of a row in each frame."""
+    boxes = np.array([[at - 10, 100, at + 10, 150] for at in x.values()]).reshape(-1, 4)
+    return Tracks.of(np.array([*x], np.int64), identity, boxes, 1.0, 0)
+
+
+def there_and_back() -> list[Event]:
+    """The events of two that go from the left to the right zone, one of which comes back."""
+    one = across(1, {k: 25.0 + 5 * (k - 1) for k in range(1, 31)})
+    back = across(
+        2, {k: 25.0 + 5 * (k - 1) if k < 31 else 175.0 - 5 * (k - 31) for k in range(1, 62)}
+    )
+    return place_events(ZONES, Tracks.concatenate([one, back]), 80, FPS)
+
+
+def test_flows_are_the_ways_from_zone_to_zone() -> None:
+    found = flows(ZONES, there_and_back())
+    assert [(one.start, one.end, one.objects) for one in found] == [
+        ("left", "right", 2),
+        ("right", "left", 1),
+    ]
+    # From where the foot is clear of one zone, by a tenth of a box, to the border of the other.
+    assert found[0].seconds == pytest.approx((150 - 55) / 5 / FPS, abs=0.11)
+    lines = flows_csv(found).splitlines()
+    assert lines[0] == "from,to,objects,seconds"
+    assert lines[1].startswith("left,right,2,")
+    assert flows(WATCH, place_events(WATCH, across(1, {1: 20.0, 2: 30.0}), 10, FPS)) == []
+
+
+def test_a_return_to_the_same_zone_is_a_way_too() -> None:
+    x = {k: 25.0 + 5 * (k - 1) for k in range(1, 11)}
+    x |= {k: 70.0 - 5 * (k - 11) for k in range(11, 21)}
+    found = flows(ZONES, place_events(ZONES, across(1, x), 40, FPS))
+    assert [(one.start, one.end, one.objects) for one in found] == [("left", "left", 1)]
+
+
+def test_passages_of_each_minute_add_up() -> None:
+    events = there_and_back()
+    rows = passages(ZONES, events, 0.0, 8.0, 2.0)
+    assert len(rows) == 3 * 4
+    assert [row.start for row in rows if row.place == "left"] == [0.0, 2.0, 4.0, 6.0]
+    for one in tallies(ZONES, events, 0.0, 8.0):
+        mine = [row for row in rows if row.place == one.place]
+        assert (sum(r.entered for r in mine), sum(r.left for r in mine)) == (one.entered, one.left)
+    assert [row.entered for row in rows if row.place == "left"] == [2, 0, 1, 0]
+    lines = passages_csv(rows).splitlines()
+    assert lines[:2] == ["start,place,in,out", "0.000,left,2,2"]
+    assert passages(ZONES, (), 0.0, 0.0, 60.0)[0].entered == 0
+
+
+def test_stays_are_of_visits_that_ended() -> None:
+    events = there_and_back()
+    assert stays(FAR, events) == []
+    found = stays(LEFT, events)
+    assert len(found) == 3
+    assert np.mean(found) == pytest.approx(tallies(ZONES, events, 0.0, 8.0)[0].stay)

@@ -45,7 +45,15 @@ from phdtrack.video import VideoSource, open_source
 
 _FILES = {
     name: rundir.RUN_FILES[name]
-    for name in (rundir.COUNTS, rundir.COUNTS_PICTURE, rundir.COUNTS_VIDEO, rundir.COUNTS_PAGE)
+    for name in (
+        rundir.COUNTS,
+        rundir.COUNTS_PICTURE,
+        rundir.COUNTS_VIDEO,
+        rundir.COUNTS_PAGE,
+        rundir.COUNTS_MINUTES,
+        rundir.COUNTS_HOURS,
+        rundir.FLOWS,
+    )
 }
 _LINE = (
     "A line from x1,y1 to x2,y2, in pixels: NAME=x1,y1,x2,y2. In is from its left to its right."

@@ -16,13 +16,15 @@ import numpy as np
 
 from phdtrack.arrays import pixelated
 from phdtrack.clock import Clock
-from phdtrack.files import whole
+from phdtrack.files import whole, write_text
 from phdtrack.formats.write import Lines
 from phdtrack.live.events import Event, Tally, Watch, place_events, tallies
+from phdtrack.live.flows import Flow, Passages, flows, flows_csv, passages, passages_csv, stays
 from phdtrack.live.zones import Place
 from phdtrack.opencv_package import cv2
 from phdtrack.report import Annotator
 from phdtrack.report.drawing import draw_plates
+from phdtrack.report.object_list import HOUR, MINUTE, bar_seconds
 from phdtrack.report.pages import render
 from phdtrack.run import directory as rundir
 from phdtrack.run.directory import RunDirectory
@@ -80,6 +82,9 @@ class CountObserver(RunObserver):
         self._tracks = Tracks.empty()
         self._events = list[Event]()
         self._tallies = list[Tally]()
+        self._passages = list[Passages]()
+        self._flows = list[Flow]()
+        self._bar = 1.0
         self._picture = NO_PICTURE
         # Boxes of detections by frame, which are to be hidden whether or not a track uses them.
         self._hidden = dict[int, F8]()
@@ -113,16 +118,44 @@ class CountObserver(RunObserver):
             file.write(
                 "%s", np.array([_ROW % self._cells(event) for event in self._events], np.str_)
             )
+        self._write_sums(directory, begin, end)
         self._picture = self._still()
         if self._picture.size:
             with whole(directory.file(rundir.COUNTS_PICTURE)) as part:
                 part.write_bytes(cv2.imencode(".png", self._picture)[1].tobytes())
 
+    def _write_sums(self, directory: RunDirectory, begin: float, end: float) -> None:
+        """Write what the events add up to, in each minute and hour, and from zone to zone."""
+        for name, width in ((rundir.COUNTS_MINUTES, MINUTE), (rundir.COUNTS_HOURS, HOUR)):
+            rows = passages(self._watch, self._events, begin, end, width)
+            write_text(directory.file(name), passages_csv(rows))
+        self._bar = bar_seconds(end - begin)
+        self._passages = passages(self._watch, self._events, begin, end, self._bar)
+        if sum(place.closed for place in self._watch.places) > 1:
+            self._flows = flows(self._watch, self._events)
+            write_text(directory.file(rundir.FLOWS), flows_csv(self._flows))
+
     def report(self) -> Report:
         """The figures."""
-        section = render("counts.html", head=HEAD, rows=self.rows(), image=self._picture)
-        counts = [dict(zip(HEAD, one, strict=True)) for one in self._tallies]
-        return Report({"counts": counts}, (), section)
+        zones = [place.name for place in self._watch.places if place.closed]
+        section = render(
+            "counts.html",
+            head=HEAD,
+            rows=self.rows(),
+            image=self._picture,
+            places=[place.name for place in self._watch.places],
+            zones=zones,
+            flows={(one.start, one.end): one for one in self._flows},
+            passages=self._passages,
+            stays={place.name: stays(place, self._events) for place in self._watch.places},
+            bar=self._bar,
+        )
+        document: dict[str, object] = {
+            "counts": [dict(zip(HEAD, one, strict=True)) for one in self._tallies]
+        }
+        if len(zones) > 1:
+            document["flows"] = [one._asdict() for one in self._flows]
+        return Report(document, (), section)
 
     def rows(self) -> list[list[str]]:
         """The figures as people read them, in the columns of `HEAD`."""

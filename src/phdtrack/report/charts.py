@@ -231,6 +231,28 @@ def arrivals_chart(rows: Sequence[Minute], width: float) -> Picture:
     return _chart(axes, bottom=0)
 
 
+def passages_chart(
+    starts: Sequence[float], entered: Sequence[int], left: Sequence[int], width: float
+) -> Picture:
+    """Passages in, upwards, and out, downwards, in each stretch of ``width`` seconds.
+
+    Parameters
+    ----------
+    starts : seconds at which each stretch begins.
+    entered, left : passages in it.
+    """
+    unit, seconds = _unit(width)
+    axes = _axes(2.0, f"time in {unit}", "out | in")
+    start = np.array(starts) / seconds
+    size = 0.9 * width / seconds
+    axes.bar(start, entered, size, color=_BLUE, alpha=0.7, align="edge", label="in")
+    axes.bar(start, [-count for count in left], size, color=_ORANGE, align="edge", label="out")
+    axes.axhline(0.0, color=_INK, linewidth=0.6)
+    axes.locator_params(axis="y", integer=True)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
+    return _chart(axes)
+
+
 def _unit(width: float) -> tuple[str, float]:
     """The unit of a time axis with bars of so many seconds, and its seconds."""
     if width < 60:

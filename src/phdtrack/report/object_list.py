@@ -17,7 +17,15 @@ from phdtrack.types import F8, I8, SequenceInfo, Tracks
 # Seconds over which a path is averaged before its length and speed are measured: boxes tremble.
 _SMOOTHED = 0.5
 MINUTE = 60.0
+HOUR = 3600.0
 """Seconds of a row of `minutes`."""
+
+
+def bar_seconds(total: float) -> float:
+    """Seconds of a bar in a chart over so many seconds: one, ten, a minute or an hour, for 3 to 180
+    bars.
+    """
+    return max((one for one in (1.0, 10.0, MINUTE, HOUR) if total >= 3 * one), default=1.0)
 
 
 class Seen(NamedTuple):

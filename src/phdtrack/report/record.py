@@ -18,7 +18,7 @@ from phdtrack.arrays import pixelated
 from phdtrack.opencv_package import cv2
 from phdtrack.report.appearance_worth import AppearanceRecorder, AppearanceWorth
 from phdtrack.report.doubtful_tracks import DoubtfulTracks
-from phdtrack.report.object_list import Minute, Seen, minutes, objects
+from phdtrack.report.object_list import Minute, Seen, bar_seconds, minutes, objects
 from phdtrack.report.thumbnails import Thumbnails
 from phdtrack.types import F8, I8, Frame, Image, SequenceInfo, Step, Tracks, Truth
 
@@ -182,11 +182,8 @@ class RunRecord:
 
     @property
     def bar_seconds(self) -> float:
-        """Seconds of a bar in the chart of arrivals: a second, ten, a minute or an hour, for 3 to
-        180 bars.
-        """
-        total = float(self.times[-1] - self.times[0]) if len(self) else 0.0
-        return max((one for one in (1.0, 10.0, 60.0, 3600.0) if total >= 3 * one), default=1.0)
+        """Seconds of a bar in the chart of arrivals."""
+        return bar_seconds(float(self.times[-1] - self.times[0]) if len(self) else 0.0)
 
     @property
     def by_class(self) -> Mapping[str, int]:

@@ -44,6 +44,7 @@ VIDEO = "annotated.mp4"
 PLAN = "plan.mp4"
 OBJECTS = "objects.csv"
 MINUTES = "minutes.csv"
+HOURS = "hours.csv"
 REPORT = "report.html"
 RUN = "run.json"
 CAMERA_MOTION = "camera_motion.csv"
@@ -51,6 +52,9 @@ COUNTS = "counts.csv"
 COUNTS_PICTURE = "counts.png"
 COUNTS_VIDEO = "counts.mp4"
 COUNTS_PAGE = "counts.html"
+COUNTS_MINUTES = "counts_minutes.csv"
+COUNTS_HOURS = "counts_hours.csv"
+FLOWS = "flows.csv"
 # The checkpoint of a run that was interrupted; removed when it is complete.
 LOG = "checkpoint.log"
 KNOWN = "checkpoint.detector"
@@ -74,8 +78,12 @@ RUN_FILES = {
     COUNTS_PICTURE: "lines, zones and what was counted",
     COUNTS_VIDEO: "the same while it goes on",
     COUNTS_PAGE: "the figures on a page",
+    COUNTS_MINUTES: "in and out of each line and zone in each minute",
+    COUNTS_HOURS: "the same in each hour",
+    FLOWS: "how many objects went from which zone to which",
     OBJECTS: "each object: when it came and left, how far and how fast it went",
     MINUTES: "how many objects in each minute",
+    HOURS: "the same in each hour",
     REPORT: "the run in pictures and numbers",
     RUN: "settings and statistics (JSON)",
 }

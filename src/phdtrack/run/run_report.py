@@ -11,7 +11,7 @@ import numpy as np
 
 from phdtrack.files import write_text
 from phdtrack.report import RunRecord, report_html, run_document, sentences, write_run
-from phdtrack.report.object_list import MINUTE, minutes_csv, objects_csv
+from phdtrack.report.object_list import HOUR, MINUTE, minutes_csv, objects_csv
 from phdtrack.report.pages import doubts, lines
 from phdtrack.run import directory as rundir
 from phdtrack.run.confirmation import confirmation
@@ -120,15 +120,16 @@ def write_report(
 
 
 def _write_objects(run: Run, progress: Progress, record: RunRecord) -> None:
-    """Write the objects and the minutes, unless the source has no end: then only its last frames
-    are known.
+    """Write the objects, the minutes and the hours, unless the source has no end: then only its
+    last frames are known.
     """
     if run.inputs.again:
         found = record.objects
         with progress.writing():
             write_text(run.directory.file(rundir.OBJECTS), objects_csv(found))
-            rows = minutes_csv(record.objects_during(found, MINUTE))
-            write_text(run.directory.file(rundir.MINUTES), rows)
+            for name, width in ((rundir.MINUTES, MINUTE), (rundir.HOURS, HOUR)):
+                rows = minutes_csv(record.objects_during(found, width))
+                write_text(run.directory.file(name), rows)
 
 
 def _asked(run: Run, progress: Progress) -> Iterator[str]:
