@@ -153,7 +153,8 @@ def test_commands_are_listed_whole_in_the_order_of_work() -> None:
     assert "..." not in said.out
     listed = said.out.partition("order of work:\n")[2].partition("\n\n")[0]
     assert re.findall(r"^  ([a-z-]+)", listed, re.MULTILINE) == list(COMMANDS)
-    assert list(COMMANDS)[:6] == ["demo", "track", "count", "evaluate", "compare", "label"]
+    first = ["demo", "track", "count", "evaluate", "compare", "tune", "label"]
+    assert list(COMMANDS)[:7] == first
     flat = " ".join(listed.split())
     for name, summary in COMMANDS.items():
         assert f"{name} {summary}" in flat

@@ -41,6 +41,7 @@ COMMANDS = {
     ),
     "evaluate": "Score tracks against annotated objects.",
     "compare": "Compare filters: one table, with confidence intervals over seeds.",
+    "tune": "Choose settings for your own sequences, and report what the choice is worth.",
     "label": (
         "Mark false detections, missed objects and births on frames drawn at random: the page says"
         " how."

@@ -117,6 +117,18 @@ PAGES = {
             "Output": "out overwrite scores iou jobs json quiet",
         },
     ),
+    "tune": HelpPage(
+        (
+            "phdtrack simulate crossing --no-video --out crossing",
+            "phdtrack tune street crossing",
+            "phdtrack tune street crossing --score IDF1 --out runs/tune-idf1",
+        ),
+        panels={
+            "Candidates": "variant score",
+            "Input": "detections truth",
+            "Output": "out overwrite jobs json quiet",
+        },
+    ),
     "label": HelpPage(
         (
             "phdtrack label street/scene.mp4 --detections street/det/det.txt",
