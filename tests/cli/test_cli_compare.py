@@ -83,6 +83,8 @@ def test_a_comparison_leaves_tables_report_and_every_run(folder: Path, tmp_path:
     page = (out / "report.html").read_text()
     assert "<td><b>" in page
     assert "Errors by cause" in page
+    assert "No interval over sequences: each set of detections has one sequence." in said.out
+    assert "No interval over sequences" in page
     assert "http" not in page.split("</head>")[1]
 
 

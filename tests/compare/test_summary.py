@@ -9,12 +9,13 @@ from dataclasses import replace
 import pytest
 from compare_cases import small
 
-from phdtrack.compare import Comparison, run, summary
+from phdtrack.compare import Comparison, over_sequences, run, summary
 from phdtrack.compare.results import Results
 from phdtrack.compare.runs import ComparedRun
 from phdtrack.compare.statistics import Row, interval
 from phdtrack.metrics import Scores, pool
 from phdtrack.parallel import Failed
+from phdtrack.report import About
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +84,30 @@ def test_a_failed_run_leaves_its_rows_empty(comparison: Comparison) -> None:
     assert row(found, "b", 3.0, "none").scores
     (line,) = Results.of(broken, ("MOTA", "ms")).table([row(found, "a", 3.0, "none")]).rows
     assert line == ("a", "det", "3", "none", "failed", "")
+
+
+def test_intervals_over_sequences_are_of_the_means_of_each(comparison: Comparison) -> None:
+    found = summary(comparison)
+    means = over_sequences(found)
+    assert {(one.sequence, one.detections, one.cases) for one in means} == {("mean", "det", 2)}
+    for method in ("particle-phd", "none"):
+        one = row(means, "mean", 3.0, method)
+        each = [row(found, name, 3.0, method).scores["MOTA"].mean for name in ("a", "b")]
+        assert one.scores["MOTA"] == interval(each)
+        assert [values["MOTA"] for values in one.each] == each
+    ahead = [row(found, name, 3.0, "none").ahead["MOTA"].mean for name in ("a", "b")]
+    assert row(means, "mean", 3.0, "none").ahead["MOTA"] == interval(ahead)
+    assert row(means, "mean", 3.0, "particle-phd").ahead == {}
+    results = Results.of(comparison, ("MOTA",))
+    assert all("±" in line[4] for line in results.table(results.means).rows)
+    assert "Mean over the sequences" in results.page(About("t", "c"))
+    assert "No interval over sequences" not in " ".join(results.notes(in_turn=True))
+    # One sequence says nothing of others.
+    alone = [one for one in found if one.sequence == "a"]
+    assert over_sequences(alone) == ()
+    assert "No interval over sequences" in " ".join(
+        Results(comparison, alone, ("MOTA",)).notes(in_turn=True)
+    )
 
 
 def test_numbers_as_people_read_them(comparison: Comparison) -> None:

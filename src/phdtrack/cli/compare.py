@@ -201,6 +201,7 @@ def finish(
         "seconds": begun.seconds,
         "warnings": warnings,
         "rows": found.rows,
+        "over_sequences": found.means,
         "directory": str(comparison.folder),
     }
     write_run(directory.file(DOCUMENT), document)
@@ -209,6 +210,12 @@ def finish(
     if apart := [row for row in comparing.widest(found.rows) if row.ahead]:
         out.say("", "* The best on the same input, and what chance does not tell apart from it.")
         out.say("", f"Difference to {comparison.plan.methods[0].name}, seed by seed:")
+        out.table(*found.table(apart, ahead=True), words=(0, 1, 3))
+    if found.means:
+        out.say("", "Mean over the sequences, each with the same weight, ± 95 % over sequences:")
+        out.table(*found.table(found.means), words=(0, 1, 3))
+        apart = [row for row in found.means if row.ahead]
+        out.say("", f"Difference to {comparison.plan.methods[0].name}, sequence by sequence:")
         out.table(*found.table(apart, ahead=True), words=(0, 1, 3))
     if (errors := found.errors()).rows:
         out.say("", "Errors by cause:")

@@ -11,7 +11,7 @@ seeds with confidence intervals, for each case and pooled.
 from phdtrack.compare.planning import plan
 from phdtrack.compare.plans import Plan, Request
 from phdtrack.compare.runs import Comparison, run, steps
-from phdtrack.compare.statistics import Row, check_scores, summary, widest
+from phdtrack.compare.statistics import Row, check_scores, over_sequences, summary, widest
 
 __all__ = [
     "Comparison",
@@ -19,6 +19,7 @@ __all__ = [
     "Request",
     "Row",
     "check_scores",
+    "over_sequences",
     "plan",
     "run",
     "steps",

@@ -16,6 +16,7 @@ from phdtrack.compare.statistics import (
     UNKNOWN,
     Row,
     leading,
+    over_sequences,
     summary,
     values_of,
     widest,
@@ -81,6 +82,11 @@ class Results:
             scores = _SHOWN if "MOTA" in known else OTHERS
         names = tuple(name for name in scores if name in known)
         return cls(comparison, rows, names or OTHERS)
+
+    @property
+    def means(self) -> tuple[Row, ...]:
+        """The rows of means over the sequences, with intervals over these."""
+        return over_sequences(self.rows)
 
     def errors(self) -> Table:
         """The numbers of misses and false boxes by cause, for cases with truth."""
@@ -220,6 +226,7 @@ class Results:
         return lines(
             "comparison_notes.txt",
             still=list(still),
+            alone=not self.means,
             in_turn=in_turn,
             kept=self.comparison.reused > 0,
         )
@@ -249,6 +256,8 @@ class Results:
             pooled=self.table(row for row in rows if row.cases > 1),
             each=self.table(row for row in rows if row.cases == 1),
             differences=self.table((row for row in rows if row.ahead), ahead=True),
+            means=self.table(self.means),
+            mean_differences=self.table((row for row in self.means if row.ahead), ahead=True),
             errors=self.errors(),
             settings=flattened(settings | more),
             seeds=len(plan.seeds),

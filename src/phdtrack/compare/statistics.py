@@ -23,12 +23,13 @@ SCORES = (*(entry.name for entry in fields(Scores) if entry.repr), *SUMS)
 # Available without truth.
 OTHERS = ("tracks", "boxes_per_frame", "log_evidence", "ms")
 POOLED = "all"
+MEAN = "mean"
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A mean over ``seeds``, and half the width of its 95 % confidence interval; NaN if
-    undefined.
+    """A mean over ``seeds``, or as many sequences, and half the width of its 95 % confidence
+    interval; NaN if undefined.
     """
 
     mean: float
@@ -136,6 +137,53 @@ def summary(comparison: Comparison) -> tuple[Row, ...]:
     if len(sets) > 1:
         groups.append((POOLED, POOLED, cases))
     return tuple(row for group in groups for row in _rows(comparison, *group))
+
+
+def over_sequences(rows: Sequence[Row]) -> tuple[Row, ...]:
+    """The mean over the sequences of each set of detections, each sequence with the same weight,
+    with intervals over the sequences: how far the scores hold on others like them. None for a set
+    with one sequence.
+
+    Parameters
+    ----------
+    rows : of a `summary`.
+
+    Returns
+    -------
+    Rows whose sequence is `MEAN`, and whose ``each`` has the scores of each sequence.
+    """
+    single = [row for row in rows if row.cases == 1]
+    found = list[Row]()
+    for place in dict.fromkeys((row.detections, row.clutter) for row in single):
+        own = [row for row in single if (row.detections, row.clutter) == place]
+        sequences = len({row.sequence for row in own})
+        if sequences < 2:
+            continue
+        for name in dict.fromkeys(row.filter for row in own):
+            mine = [row for row in own if row.filter == name]
+            failed = next((row.failed for row in mine if row.failed), "")
+            each = [] if failed else [_means(row.scores) for row in mine]
+            differences = [] if failed else [_means(row.ahead) for row in mine]
+            found.append(
+                Row(
+                    MEAN,
+                    place[0],
+                    sequences,
+                    place[1],
+                    name,
+                    True,
+                    failed,
+                    _intervals(each, random=True),
+                    _intervals(differences, random=True),
+                    each,
+                )
+            )
+    return tuple(found)
+
+
+def _means(scores: Mapping[str, Interval]) -> dict[str, float]:
+    """The means of scores that are known."""
+    return {name: value.mean for name, value in scores.items() if math.isfinite(value.mean)}
 
 
 def widest(rows: Sequence[Row]) -> list[Row]:
