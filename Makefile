@@ -9,7 +9,7 @@
 #   make bench        speed and memory against other libraries, below five minutes
 #   make bench-full   the same with all sizes, more frames and seeds
 #   make format       reformat the sources
-#   make docs         write the generated pages and types again
+#   make docs         write the generated pages and types, and the outputs of notebooks, again
 #   make site         the documentation as a website that works offline, in build/site
 #
 # PYTHON=... chooses the interpreter for the environment, VENV=... its folder. PYTEST_ARGS=... is
@@ -117,6 +117,7 @@ format: env
 docs: env
 	$(PY) scripts/equations.py
 	$(PY) scripts/section_types.py
+	$(PY) scripts/notebooks.py
 
 # The site's tools have an environment of their own. A broken link is an error.
 site: $(SITE_ENV)/.installed
