@@ -10,7 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
-from phdtrack.report.object_list import minutes, minutes_csv, objects, objects_csv, visited
+from phdtrack.report.object_list import (
+    BAR_UNITS,
+    bar_seconds,
+    minutes,
+    minutes_csv,
+    objects,
+    objects_csv,
+    visited,
+)
 from phdtrack.report.pages import clock
 from phdtrack.report.thumbnails import Thumbnails
 from phdtrack.types import Frame, SequenceInfo, Tracks
@@ -87,6 +95,26 @@ def test_minutes_count_who_was_there_and_who_came() -> None:
     assert head == "start,objects,arrived,mean"
     assert lines[0] == "0.000,1,1,1.00"
     assert minutes([], np.zeros(0), np.zeros(0, np.int64), 60.0) == []
+
+
+@pytest.mark.parametrize(
+    ("total", "unit"),
+    [
+        (0.0, "second"),
+        (20.0, "second"),
+        (60.0, "10 seconds"),
+        (1200.0, "minute"),
+        (7200.0, "minute"),
+        (86400.0, "hour"),
+        (864000.0, "day"),
+        (4e7, "30 days"),
+    ],
+)
+def test_a_chart_has_few_bars_however_long_the_run_is(total: float, unit: str) -> None:
+    """A row a billion frames away made eleven thousand bars, which took minutes to draw."""
+    width = bar_seconds(total)
+    assert BAR_UNITS[width] == unit
+    assert total / width <= 180
 
 
 def test_visited_cells_are_under_the_feet() -> None:

@@ -23,7 +23,7 @@ from phdtrack.errors import needed
 from phdtrack.opencv_package import cv2
 from phdtrack.report.appearance_worth import AppearanceWorth
 from phdtrack.report.drawing import feet, identity_colour
-from phdtrack.report.object_list import Minute, visited
+from phdtrack.report.object_list import DAY, HOUR, MINUTE, Minute, visited
 from phdtrack.report.record import RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
@@ -257,7 +257,9 @@ def _unit(width: float) -> tuple[str, float]:
     """The unit of a time axis with bars of so many seconds, and its seconds."""
     if width < 60:
         return "seconds", 1.0
-    return ("minutes", 60.0) if width < 3600 else ("hours", 3600.0)
+    if width < HOUR:
+        return "minutes", MINUTE
+    return ("hours", HOUR) if width < DAY else ("days", DAY)
 
 
 def histogram_chart(values: Sequence[float], label: str) -> Picture:

@@ -19,13 +19,17 @@ _SMOOTHED = 0.5
 MINUTE = 60.0
 HOUR = 3600.0
 """Seconds of a row of `minutes`."""
+DAY = 24 * HOUR
+BAR_UNITS = {1.0: "second", 10.0: "10 seconds", MINUTE: "minute", HOUR: "hour"}
+BAR_UNITS |= {DAY: "day", 30 * DAY: "30 days"}
+"""The names of what a bar of a chart may stand for, by its seconds."""
 
 
 def bar_seconds(total: float) -> float:
-    """Seconds of a bar in a chart over so many seconds: one, ten, a minute or an hour, for 3 to 180
-    bars.
+    """Seconds of a bar in a chart over so many seconds: a key of `BAR_UNITS`, for 3 to 180 bars up
+    to fifteen years.
     """
-    return max((one for one in (1.0, 10.0, MINUTE, HOUR) if total >= 3 * one), default=1.0)
+    return max((one for one in BAR_UNITS if total >= 3 * one), default=1.0)
 
 
 class Seen(NamedTuple):

@@ -26,6 +26,7 @@ from markupsafe import Markup
 from phdtrack.detect.moving_regions import MOVING_REGIONS
 from phdtrack.files import json_value, write_text
 from phdtrack.report import charts
+from phdtrack.report.object_list import BAR_UNITS
 from phdtrack.report.record import STAGES, RunRecord, known_mean
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     made.globals["charts"] = charts
+    made.globals["bar_units"] = BAR_UNITS
     made.filters |= {
         function.__name__: function
         for function in (
