@@ -195,6 +195,29 @@ def test_the_newest_picture_is_an_image(tmp_path: Path) -> None:
     assert client.kept[image["image_topic"]] == content
 
 
+def test_a_broker_that_is_not_there_is_a_problem_until_it_comes(tmp_path: Path) -> None:
+    client = Client()
+    assistant = HomeAssistant("mqtt://broker.example/site", lambda: client)
+    one = camera(tmp_path, (DOOR,))
+    assistant.update([one], 5.0)
+    assert assistant.problem == ""
+    assistant.update([one], 16.0)
+    assert assistant.problem == "the broker does not answer"
+    reason = SimpleNamespace(is_failure=True)
+    client.on_connect(client, None, {}, reason, None)
+    assert assistant.problem.startswith("the broker refuses the connection: ")
+    client.come()
+    assistant.update([one], 17.0)
+    assert assistant.problem == ""
+    assert client.kept["site/status"] == "online"
+    client.connected = False
+    assistant.update([one], 18.0)
+    assistant.update([one], 27.0)
+    assert assistant.problem == ""
+    assistant.update([one], 29.0)
+    assert assistant.problem == "the broker does not answer"
+
+
 def test_an_address_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match="begins with mqtt://"):
         HomeAssistant("http://broker.example", Client)

@@ -310,18 +310,26 @@ class _Watchers:
     def __init__(self, assistant: HomeAssistant | None, windows: Sequence[Window]) -> None:
         self._assistant = assistant
         self._windows = windows
+        self._problem = ""
         self.pause = _SHOWN_EVERY if windows else _PRINTED_EVERY
         """Seconds between two updates."""
 
-    def update(self, cameras: Sequence[Camera]) -> None:
-        """Tell them what is new. Raises `KeyboardInterrupt` if Q is pressed in a window."""
+    def update(self, cameras: Sequence[Camera]) -> list[str]:
+        """Tell them what is new; a sentence if that is no longer, or again, possible. Raises
+        `KeyboardInterrupt` if Q is pressed in a window.
+        """
+        before = self._problem
         if self._assistant is not None:
             self._assistant.update(cameras, time.monotonic())
+            self._problem = self._assistant.problem
         for k, window in enumerate(self._windows):
             image = cameras[k].picture()[1]
             # The same picture again if there is no other: the window needs attention meanwhile.
             if image is not None:
                 window.show(image)
+        if self._problem == before:
+            return []
+        return [f"Home Assistant: {self._problem or 'the broker is connected'}"]
 
     def stop(self) -> None:
         """Say that it has ended, and close the windows."""
@@ -349,7 +357,8 @@ def _attend(
     warned = dict[str, int]()
     while time.monotonic() < end:
         _warn(cameras, output, warned)
-        watchers.update(cameras)
+        for sentence in watchers.update(cameras):
+            _log(output, sentence)
         for one in cameras:
             status = one.source.status()
             now = (*logged_state(status), *one.problems)

@@ -10,13 +10,14 @@ is lost.
 from __future__ import annotations
 
 import json
+import math
 import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from phdtrack.live.delivery import Broker, paho_client
+from phdtrack.live.delivery import TIMEOUT, Broker, paho_client
 from phdtrack.live.engine import Camera
 from phdtrack.live.zones import Place
 
@@ -62,6 +63,10 @@ class HomeAssistant:
         self._values = dict[str, tuple[str, float]]()
         self._shown = dict[str, Path]()
         self._anew = False
+        # Why the broker refuses the connection, and the time from which on it should be there.
+        self._refused = ""
+        self._expected = math.nan
+        self._late = False
         # In a thread of its own, which also repeats failed attempts.
         self._client.connect_async(broker.host, broker.port)
         self._client.loop_start()
@@ -75,7 +80,12 @@ class HomeAssistant:
         now : seconds that only grow.
         """
         if not self._client.is_connected():
+            if math.isnan(self._expected):
+                self._expected = now + TIMEOUT
+            self._late = now > self._expected
             return
+        self._expected = math.nan
+        self._late = False
         if self._anew:
             # The broker may have been another one, or have forgotten everything.
             self._anew = False
@@ -87,6 +97,15 @@ class HomeAssistant:
             self._describe(one)
             self._tell(one, now)
 
+    @property
+    def problem(self) -> str:
+        """Why nothing can be published, after some seconds; empty if it can be."""
+        if self._late and self._refused:
+            return f"the broker refuses the connection: {self._refused}"
+        if self._late:
+            return "the broker does not answer"
+        return ""
+
     def stop(self) -> None:
         """Say that nothing is published any more, and end the connection."""
         if self._client.is_connected():
@@ -95,9 +114,10 @@ class HomeAssistant:
         self._client.disconnect()
         self._client.loop_stop()
 
-    def _connected(self, *given: Any) -> None:
-        """Take note of a new connection."""
-        self._anew = True
+    def _connected(self, client: Any, data: Any, flags: Any, reason: Any, *more: Any) -> None:
+        """Take note of a new connection, or of why there is none."""
+        self._refused = str(reason) if getattr(reason, "is_failure", False) else ""
+        self._anew = not self._refused
 
     def _publish(self, topic: str, content: str | bytes) -> None:
         """Publish a message that the broker keeps."""
