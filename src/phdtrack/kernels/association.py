@@ -32,6 +32,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.filled import flags, floats, zeros
 from phdtrack.kernels.gaussian import records
 from phdtrack.kernels.grid import sorted_by_cell
 
@@ -107,8 +108,7 @@ class Nodes(NamedTuple):
 @njit(**INNER)
 def new_paths(columns: int) -> Paths:
     """Working space for a search over so many columns."""
-    zeros = np.zeros((3, columns), np.int64)
-    return Paths(zeros[0], np.empty(columns), zeros[1], zeros[2])
+    return Paths(zeros(columns), np.empty(columns), zeros(columns), zeros(columns))
 
 
 @njit(**INNER)
@@ -179,7 +179,7 @@ def _shortest_path(
     _, distance, status, visited = paths
     here = row
     reached = 0.0
-    count = 0
+    count = 0 * row
     shortest = np.inf
     loser = -1
     end = -1
@@ -284,8 +284,8 @@ def best_pairs(row: I8, column: I8, gain: F8, count: int) -> I8:
     ``row``, ``column``, ``gain`` (E,): the possible pairs, in the order of their rows; columns are
     below ``count``.
     """
-    start = np.zeros(count + 1, np.int64)
-    none = np.zeros(count + 1, np.bool_)
+    start = zeros(count + 1)
+    none = flags(count + 1, False)
     for r in row:
         start[r + 1] += 1
     for r in range(count):
@@ -568,8 +568,8 @@ def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
     size = edges.size
     # In arrays of their own: a round reads little else.
     odds = np.empty(size)
-    mu = np.full(size, -1.0)
-    nu = np.ones(size)
+    mu = floats(size, -1.0)
+    nu = floats(size, 1.0)
     target = np.empty(size, np.int64)
     measurement = np.empty(size, np.int64)
     for e in range(size):
@@ -578,11 +578,11 @@ def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
         measurement[e] = edges[e].measurement
     by_target = sorted_by_cell(target, targets)
     by_measurement = sorted_by_cell(measurement, measurements)
-    ones = np.ones(size)
-    targets_changed = np.ones(targets, np.bool_)
-    measurements_changed = np.zeros(measurements, np.bool_)
-    detected = np.zeros(targets)
-    claimed = np.zeros(measurements)
+    ones = floats(size, 1.0)
+    targets_changed = flags(targets, True)
+    measurements_changed = flags(measurements, False)
+    detected = floats(targets, 0.0)
+    claimed = floats(measurements, 0.0)
     for _ in range(ROUNDS):
         changed = targets_changed, measurements_changed
         _send(by_target, odds, nu, mu, measurement, detected, changed)
@@ -596,8 +596,10 @@ def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
             total += odds[order[k]] * nu[order[k]]
         for k in range(begin[t], begin[t + 1]):
             edges[order[k]].mu = odds[order[k]] * nu[order[k]] / (1.0 + total)
-        detected[t] = total
-    return 1.0 / (1.0 + detected), 1.0 / (1.0 + claimed)
+        detected[t] = 1.0 / (1.0 + total)
+    for j in range(measurements):
+        claimed[j] = 1.0 / (1.0 + claimed[j])
+    return detected, claimed
 
 
 @njit(**INNER)

@@ -12,6 +12,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
+from phdtrack.kernels.filled import floats, minus_ones
 from phdtrack.kernels.gaussian import Predicted, copy_gaussian
 from phdtrack.kernels.grid import sorted_along, within
 
@@ -78,7 +79,9 @@ def first_not_finite(boxes: F8, score: F8) -> int:
 @njit(**ENTRY)
 def outermost(boxes: F8) -> tuple[float, float, float, float, float]:
     """The largest left, top, right and bottom of boxes (n, 4), and the smallest right or bottom."""
-    most = np.full(4, -np.inf)
+    most = np.empty(4)
+    for a in range(4):
+        most[a] = -np.inf
     least = np.inf
     for j in range(len(boxes)):
         for a in range(4):
@@ -140,13 +143,15 @@ def following(before: F8, after: F8, overlap: float) -> I8:
     Each of the two is the one that overlaps the other most, by at least ``overlap`` (IoU).
     """
     m = len(after)
-    best = np.full(m, -1)
-    most = np.zeros(m)
-    other = np.full(len(before), -1)
-    cells = sorted_along(after[:, 0] + after[:, 2])
+    best: I8 = minus_ones(m)
+    most = floats(m, 0.0)
+    other = minus_ones(len(before))
+    middle = np.empty(m)
     widest = 0.0
     for j in range(m):
+        middle[j] = after[j, 0] + after[j, 2]
         widest = max(widest, after[j, 2] - after[j, 0])
+    cells = sorted_along(middle)
     for i in range(len(before)):
         other_most = 0.0
         # Twice the distance of two centres that share an area is less than both widths.
@@ -305,7 +310,10 @@ def shown_between(
     if len(first[0]) > 0:
         kept = max(1.0 - 2.0 * n / remembered, 0.0)
         sums = agreement(first, second, (identity, seen), ratio, kept, sums)
-    moved = between(seen, filtered, share_of(sums, 0, prior), share_of(sums, 1, prior))
+    centre = 0 * n
+    moved = between(
+        seen, filtered, share_of(sums, centre, prior), share_of(sums, centre + 1, prior)
+    )
     for k in range(n):
         for a in range(4):
             rows[3][at[k], a] = moved[k, a]
@@ -433,8 +441,13 @@ def moved_boxes(
     interval [M09 (11)].
     """
     mean = x.copy()
-    jacobian = np.eye(len(x))
-    noise = np.zeros((len(x), len(x), x.shape[1]))
+    jacobian = np.empty((len(x), len(x)))
+    noise = np.empty((len(x), len(x), x.shape[1]))
+    for a in range(len(x)):
+        for b in range(len(x)):
+            jacobian[a, b] = 1.0 if a == b else 0.0
+            for n in range(x.shape[1]):
+                noise[a, b, n] = 0.0
     for a in range(2):
         jacobian[a, a + 2] = dt
         for n in range(x.shape[1]):
@@ -576,7 +589,11 @@ def warped_states(x: F8, warp: F8, areas: float) -> F8:
 def warped_slopes(x: F8, warp: F8, areas: float) -> F8:
     """(n, d, d) the Jacobians of `warped_states`."""
     rows, n = x.shape
-    out = np.zeros((n, rows, rows))
+    out = np.empty((n, rows, rows))
+    for i in range(n):
+        for a in range(rows):
+            for b in range(rows):
+                out[i, a, b] = 0.0
     g = warp[2, 0]
     h = warp[2, 1]
     for i in range(n):

@@ -128,7 +128,7 @@ def after_frame(
         np.empty((n + m, 4)),
         verdicts.copy(),
     )
-    i = k = count = 0
+    i = k = count = 0 * n
     while i < n or k < m:
         # The next label: j is its state, −1 if it has none now; i is its row if it was followed
         # before.

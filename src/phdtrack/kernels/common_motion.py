@@ -24,6 +24,7 @@ from phdtrack.kernels import F8, I8
 from phdtrack.kernels.box import Noise, box_covariances, predicted_boxes
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
+from phdtrack.kernels.filled import floats
 from phdtrack.kernels.grid import sorted_along, within
 
 # Degrees of freedom of the errors of boxes, and of a camera's motion.
@@ -94,6 +95,48 @@ def differences(mean: F8, covariance: F8, noise: F8, z: F8, scale: F8) -> tuple[
     return predicted, variance, measured
 
 
+@njit(**INNER)
+def _middle(values: F8) -> float:
+    """The median of values (n,), one or more, whose order changes (Hoare's selection)."""
+    half = values.size // 2
+    low = 0 * half
+    high = values.size - 1
+    while low < high:
+        pivot = values[half]
+        i = low
+        j = high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if j < half:
+            low = i
+        if half < i:
+            high = j
+    middle: float = values[half]
+    if values.size % 2 == 0:
+        below: float = values[0]
+        for k in range(half):
+            below = max(below, values[k])
+        middle = 0.5 * (below + middle)
+    return middle
+
+
+@njit(**INNER)
+def _product(matrix: F8, vector: F8) -> F8:
+    """(4,) the product of a matrix (4, 4) and a vector (4,)."""
+    out = np.empty(4)
+    for k in range(4):
+        even = matrix[k, 0] * vector[0] + matrix[k, 2] * vector[2]
+        out[k] = even + (matrix[k, 1] * vector[1] + matrix[k, 3] * vector[3])
+    return out
+
+
 @njit(**ENTRY)
 def voted(predicted: F8, z: F8, half: float) -> tuple[float, float, float, float]:
     """The shift, other than 0, on which most differences of similar boxes agree: x, y, the size of
@@ -103,9 +146,15 @@ def voted(predicted: F8, z: F8, half: float) -> tuple[float, float, float, float
     image.
     """
     reach = ANY_SHIFT * half
-    cell = max(0.5 * math.exp(np.median(predicted[:, 2])), reach / CELLS)
+    width = np.empty(len(predicted))
+    for i in range(len(predicted)):
+        width[i] = predicted[i, 2]
+    cell = max(0.5 * math.exp(_middle(width)), reach / CELLS)
     side = int(reach / cell)
-    votes = np.zeros((2 * side + 3, 2 * side + 3))
+    votes = np.empty((2 * side + 3, 2 * side + 3))
+    for c in range(2 * side + 3):
+        for d in range(2 * side + 3):
+            votes[c, d] = 0.0
     for i in range(len(predicted)):
         for j in range(len(z)):
             x = (z[j, 0] - predicted[i, 0]) / cell
@@ -156,10 +205,12 @@ def fitted(
     # The uncertainty of the start counts in the first step alone.
     around = start[2] * start[2]
     pairs = _pairs(predicted, variance, z, frame, start)
-    weight = np.zeros(len(pairs[0]))
+    weight = floats(len(pairs[0]), 0.0)
     total = np.empty(len(predicted))
-    motion = np.zeros(4)
-    spread = np.abs(scale)
+    motion = floats(len(scale), 0.0)
+    spread = np.empty(4)
+    for k in range(4):
+        spread[k] = abs(scale[k])
     pull = np.empty(4)
     motion[0] = start[0]
     motion[1] = start[1]
@@ -172,7 +223,7 @@ def fitted(
         around = 0.0
         determinant = _invert(information, spread, covariance)
         before = motion
-        motion = covariance @ pull
+        motion = _product(covariance, pull)
         for k in range(4):
             if scale[k] > 0.0:
                 squared = motion[k] * motion[k] + covariance[k, k]
@@ -232,7 +283,7 @@ def frame_motion(
         total = max(weight[k], 1e-300)
         scale[k] = max((excess[k] / total - math.sqrt(2.0 / total)) * dt * dt, least)
         wide[k] = -max(scale[k], (frame[2] * (JUMP if k < 2 else JUMP_ZOOM)) ** 2)
-    fit = fitted(predicted, variance, z, detected, density, frame, scale, np.zeros(3))
+    fit = fitted(predicted, variance, z, detected, density, frame, scale, floats(len(frame), 0.0))
     motion, estimate, errors, evidence, squares = fit
     for k in range(4):
         if not scale[k] > least:
@@ -241,13 +292,21 @@ def frame_motion(
     if jumps and few and len(predicted) >= AGREE:
         x, y, cell, votes = voted(predicted, z, frame[2])
         if votes >= AGREE:
-            at = np.array([x, y, cell])
+            at = np.empty(3)
+            at[0] = x
+            at[1] = y
+            at[2] = cell
             jump = fitted(predicted, variance, z, detected, density, frame, wide, at)
             if jump[3] - jump_penalty > evidence:
                 motion, estimate, errors, evidence, squares = jump
                 evidence -= jump_penalty
-    share = (least_share * np.median(np.exp(0.5 * (predicted[:, 2] + predicted[:, 3])))) ** 2
-    first = not weight.any()
+    sizes = np.empty(len(predicted))
+    for i in range(len(predicted)):
+        sizes[i] = math.exp(0.5 * (predicted[i, 2] + predicted[i, 3]))
+    share = (least_share * _middle(sizes)) ** 2
+    first = True
+    for k in range(4):
+        first = first and weight[k] == 0.0
     new_excess = np.empty(4)
     new_weight = np.empty(4)
     for k in range(4):
@@ -327,7 +386,7 @@ def motion_of_boxes(
     boxes = differences(
         ahead.mean, ahead.covariance, box_covariances(size, noise), rows, accuracy[0]
     )
-    detected = np.full(n, min(p_detect, MOST_DETECTED))
+    detected = floats(n, min(p_detect, MOST_DETECTED))
     whole = (detected, density, frame, dt, jump_penalty, least_share, remembered)
     found: Alternative = learned_motion(boxes, whole, jumps, sums, accuracy, prior)
     return found
@@ -341,17 +400,20 @@ def _pairs(predicted: F8, variance: F8, z: F8, frame: F8, start: F8) -> Pairs:
     target = np.empty((len(predicted) * len(z), 2), np.int64)
     count = 0 * len(z)
     wide = start[2] * start[2]
-    cells = sorted_along(z[:, 0])
+    across = np.empty(len(z))
+    for j in range(len(z)):
+        across[j] = z[j, 0]
+    cells = sorted_along(across)
     for i in range(len(predicted)):
         x = predicted[i, 0] + start[0]
         y = predicted[i, 1] + start[1]
-        across = NEAR * NEAR * (variance[i, 0] + wide)
+        aside = NEAR * NEAR * (variance[i, 0] + wide)
         down = NEAR * NEAR * (variance[i, 1] + wide)
         first = count
-        begin, end = within(x, ROUNDING * math.sqrt(across), cells)
+        begin, end = within(x, ROUNDING * math.sqrt(aside), cells)
         for k in range(begin, end):
             j = cells[1][k]
-            if (z[j, 0] - x) ** 2 > across or (z[j, 1] - y) ** 2 > down:
+            if (z[j, 0] - x) ** 2 > aside or (z[j, 1] - y) ** 2 > down:
                 continue
             if abs(z[j, 2] - predicted[i, 2]) < SIZES and abs(z[j, 3] - predicted[i, 3]) < SIZES:
                 # In the order of the detections, however far right they are.
@@ -406,7 +468,8 @@ def _weigh(
     """
     target, error, variance, place = pairs
     precision = np.empty(len(target))
-    total[:] = 0.0
+    for i in range(len(total)):
+        total[i] = 0.0
     for p in range(len(target)):
         x, y, w, h = _residual(error, place, p, motion, half)
         across = variance[p, 0] + wide
@@ -427,8 +490,12 @@ def _weigh(
 def _sum(pairs: Pairs, weight: F8, wide: float, half: float, information: F8, pull: F8) -> None:
     """Write Σ w Bᵀ S⁻¹ B into ``information`` (4, 4) and Σ w Bᵀ S⁻¹ e into ``pull`` (4,)."""
     _, error, variance, place = pairs
-    a = np.zeros((4, 4))
-    b = np.zeros(4)
+    a = information
+    b = pull
+    for k in range(4):
+        b[k] = 0.0
+        for m in range(4):
+            a[k, m] = 0.0
     for p in range(len(weight)):
         u = place[p, 0]
         v = place[p, 1]
@@ -450,9 +517,8 @@ def _sum(pairs: Pairs, weight: F8, wide: float, half: float, information: F8, pu
         b[2] += x * u * error[p, 0] + y * v * error[p, 1] + w * error[p, 2] + h * error[p, 3]
         b[3] += y * u * error[p, 1] - x * v * error[p, 0]
     for k in range(4):
-        pull[k] = b[k]
-        for m in range(4):
-            information[k, m] = a[min(k, m), max(k, m)]
+        for m in range(k):
+            a[k, m] = a[m, k]
 
 
 @njit(**INNER)
@@ -491,11 +557,13 @@ def _errors(
     target, error, variance, place = pairs
     free = np.empty(4)
     c = np.empty((4, 4))
-    out = np.zeros((2, 4))
-    free[:2] = (ANY_SHIFT * half) ** 2
-    free[2:] = (ANY_ZOOM * half) ** 2
+    out = np.empty((2, 4))
+    for k in range(4):
+        out[0, k] = 0.0
+        out[1, k] = 0.0
+        free[k] = (ANY_SHIFT * half) ** 2 if k < 2 else (ANY_ZOOM * half) ** 2
     _invert(information, free, c)
-    motion = c @ pull
+    motion = _product(c, pull)
     for p in range(len(target)):
         u = place[p, 0]
         v = place[p, 1]

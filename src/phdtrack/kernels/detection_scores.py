@@ -12,7 +12,8 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.box import following
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, MERGED
+from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
+from phdtrack.kernels.filled import flags, floats
 
 
 class Line(NamedTuple):
@@ -50,7 +51,7 @@ def scaled(
         kind = LOGIT
     else:
         kind = RANK
-    x = np.full(score.size, np.nan)
+    x = floats(score.size, math.nan)
     if low < high and kind != RANK:
         for j in range(score.size):
             s = score[j]
@@ -79,15 +80,18 @@ def chained(
     m = boxes.shape[0]
     most = waiting.shape[1]
     link = following(before, boxes, overlap)
-    now = np.full((m, most), np.nan)
-    long = np.ones(m, np.int64)
+    now = np.empty((m, most))
+    long = np.empty(m, np.int64)
     true = np.empty(m * most)
     false = np.empty(waiting.size)
     t = f = 0 * m
-    alone = np.zeros(before.shape[0], np.bool_)
-    ended = np.ones(before.shape[0], np.bool_)
+    alone = flags(before.shape[0], False)
+    ended = flags(before.shape[0], True)
     for j in range(m):
         i = link[j]
+        long[j] = 1
+        for k in range(most):
+            now[j, k] = math.nan
         if i >= 0:
             ended[i] = False
             long[j] = length[i] + 1
@@ -99,7 +103,7 @@ def chained(
                 if not math.isnan(now[j, k]):
                     true[t] = now[j, k]
                     t += 1
-                now[j, k] = np.nan
+                now[j, k] = math.nan
     for i in range(before.shape[0]):
         if ended[i]:
             alone[i] = length[i] == 1
@@ -140,6 +144,15 @@ def neighbours(boxes: F8, counted: Bool, most: int) -> tuple[int, int]:
     return count, asked
 
 
+@njit(**INNER)
+def _blended(before: F8, prior: F8, kept: float) -> F8:
+    """What is ``kept`` of the numbers (n,) before, and the rest of a prior (n,)."""
+    out = np.empty(before.size)
+    for k in range(before.size):
+        out[k] = kept * before[k] + (1 - kept) * prior[k]
+    return out
+
+
 @njit(**MERGED)
 def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) -> tuple[F8, F8, F8]:
     """The line after one step of Newton's method with the verdicts on detections with these x; old
@@ -149,9 +162,12 @@ def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) ->
     start, own, first = prior
     n = true.size + false.size
     kept = max(1 - n / remembered, 0.0)
-    information = kept * information + (1 - kept) * start
-    precision = kept * precision + (1 - kept) * own
-    verdicts = kept * verdicts + (1 - kept) * first
+    information = _blended(information, start, kept)
+    verdicts = _blended(verdicts, first, kept)
+    precision = precision.copy()
+    for r in range(2):
+        for c in range(2):
+            precision[r, c] = kept * precision[r, c] + (1 - kept) * own[r, c]
     verdicts[0] += true.size
     verdicts[1] += false.size
     scale = precision[0, 0] * precision[1, 1] - precision[0, 1] * precision[0, 1]
@@ -249,13 +265,15 @@ def learned_frame(
     alone = 0
     for i in range(lone.size):
         alone += lone[i]
-    near = neighbours(boxes, np.ones(len(boxes), np.bool_), most)
+    near = neighbours(boxes, flags(len(boxes), True), most)
     of_lone = neighbours(before, lone, most)
     counts = (alone, near[0], near[1], of_lone[0], of_lone[1])
     learned = same_kind and true.size + false.size > 0
     information, precision, verdicts = line
     if not same_kind:
-        waiting[:] = np.nan
+        for j in range(waiting.shape[0]):
+            for k in range(waiting.shape[1]):
+                waiting[j, k] = math.nan
     elif learned:
         information, precision, verdicts = newton(line, true, false, prior, remembered)
     return (waiting, length), (information, precision, verdicts), learned, counts

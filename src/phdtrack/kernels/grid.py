@@ -14,6 +14,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.filled import flags, zeros
 
 
 class Grid(NamedTuple):
@@ -59,7 +60,7 @@ def sorted_by_cell(cell: I8, count: int) -> tuple[I8, I8]:
     """(count + 1,) where the items of each cell begin, and (n,) the items by their ``cell`` (n,),
     ascending in each (counting sort).
     """
-    begin = np.zeros(count + 1, np.int64)
+    begin = zeros(count + 1)
     order = np.empty(cell.size, np.int64)
     for i in range(cell.size):
         begin[cell[i]] += 1
@@ -136,8 +137,9 @@ def make_grid(lower: F8, upper: F8, width: float = 0.0, height: float = 0.0) -> 
     smaller than ``width`` and ``height``.
     """
     n = lower.shape[1]
-    x0, wide, width = _axis(lower, upper, 0, width)
-    y0, high, height = _axis(lower, upper, 1, height)
+    across = 0 * n
+    x0, wide, width = _axis(lower, upper, across, width)
+    y0, high, height = _axis(lower, upper, across + 1, height)
     nx = 1.0 + np.floor(wide / width)
     ny = 1.0 + np.floor(high / height)
     per_x = 1.0 / width
@@ -152,7 +154,7 @@ def make_grid(lower: F8, upper: F8, width: float = 0.0, height: float = 0.0) -> 
         ny = fewer_y
     columns = int(nx)
     rows = int(ny)
-    start = np.zeros(columns * rows + 1, np.int64)
+    start = zeros(columns * rows + 1)
     corner = np.empty((2, n), np.int64)
     last = np.empty((2, n), np.int64)
     for j in range(n):
@@ -284,8 +286,14 @@ def uncrowded(at: F8, half: F8, most: int) -> Bool:
     ``at``, ``half`` (2, N): the points, and half the sides of a closed box about each, finite.
     ``most``: at least 1.
     """
-    grid = make_grid(at - half, at + half, 0.0, 0.0)
-    kept = np.ones(at.shape[1], np.bool_)
+    lower = np.empty(at.shape)
+    upper = np.empty(at.shape)
+    for a in range(at.shape[0]):
+        for i in range(at.shape[1]):
+            lower[a, i] = at[a, i] - half[a, i]
+            upper[a, i] = at[a, i] + half[a, i]
+    grid = make_grid(lower, upper, 0.0, 0.0)
+    kept: Bool = flags(at.shape[1], True)
     for i in range(at.shape[1]):
         row = cell_of(at[1, i], grid.y0, grid.per_y, grid.rows)
         column = cell_of(at[0, i], grid.x0, grid.per_x, grid.columns)

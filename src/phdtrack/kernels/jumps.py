@@ -15,6 +15,7 @@ import numpy as np
 from phdtrack.kernels import F8, Bool, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import INNER
+from phdtrack.kernels.filled import flags, floats
 from phdtrack.kernels.gaussian import Expected, copy_gaussian
 
 # Squared deviations within which a measurement is near a target: 99 % of four components.
@@ -50,13 +51,13 @@ def jumping(
     z: F8,
     jumps: Jumps,
     least: float,
-) -> Bool:
+) -> tuple[Bool, bool]:
     """(T,) which targets none of the measurements ``z`` (N, r) is near, and one that is near no
-    target in reach of a new velocity. Targets that have one with less than the ``least``
-    probability are left out.
+    target in reach of a new velocity; and whether there is one. Targets that have one with less
+    than the ``least`` probability are left out.
     """
-    near = np.zeros(len(targets), np.bool_)
-    explained = np.zeros(len(z), np.bool_)
+    near = flags(len(targets), False)
+    explained = flags(len(z), False)
     t = 0 * len(z)
     for q in range(pairs.size):
         while pairs[q].gaussian >= targets[t].end:
@@ -64,18 +65,23 @@ def jumping(
         if pairs[q].distance2 < NEAR:
             near[t] = True
             explained[pairs[q].measurement] = True
-    out = np.zeros(len(targets), np.bool_)
+    out = flags(len(targets), False)
+    some = False
+    left = np.empty(2)
+    right = np.empty(2)
     for t in range(len(targets)):
         c = targets[t].best
         if near[t] or c < 0 or targets[t].r * _share(covariance, c, c, jumps) < least:
             continue
-        left, right = _reach(mean, covariance, c, 0, e, jumps)
-        top, bottom = _reach(mean, covariance, c, 1, e, jumps)
+        for axis in range(2):
+            left[axis], right[axis] = _reach(mean, covariance, c, axis, e, jumps)
         for j in range(len(z)):
-            if not explained[j] and left < z[j, 0] < right and top < z[j, 1] < bottom:
+            across = left[0] < z[j, 0] < right[0]
+            if not explained[j] and across and left[1] < z[j, 1] < right[1]:
                 out[t] = True
+                some = True
                 break
-    return out
+    return out, some
 
 
 @njit(**INNER)
@@ -100,7 +106,9 @@ def with_jumps(
     may ``jump`` (T,), and the measurements that they predict [PMB (15)]. The sensor is linear.
     """
     targets, hypotheses, mean, covariance = before
-    count = len(hypotheses) + int(jump.sum())
+    count = len(hypotheses)
+    for t in range(len(targets)):
+        count += jump[t]
     d = mean.shape[1]
     out = targets.copy()
     more = np.empty(count, hypotheses.dtype)
@@ -132,12 +140,15 @@ def with_jumps(
 
 
 @njit(**INNER)
-def jumped(targets: Records, jump: Bool, count: int) -> Bool:
-    """(C,) which of ``count`` hypotheses have a new velocity, after `with_jumps`."""
-    out = np.zeros(count, np.bool_)
+def of_jumped(targets: Records, jump: Bool, value: F8) -> F8:
+    """(C,) the ``value`` (C,) of hypotheses that have a new velocity, after `with_jumps`; 0 of
+    others.
+    """
+    out: F8 = floats(len(value), 0.0)
     for t in range(len(targets)):
         if jump[t]:
-            out[targets[t].end - 1] = True
+            c = targets[t].end - 1
+            out[c] = value[c]
     return out
 
 

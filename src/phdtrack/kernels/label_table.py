@@ -242,7 +242,7 @@ def shown_rows(
         order[q] = k
         n += 1
     out = (
-        np.full(n, number),
+        np.empty(n, np.int64),
         np.empty(n, np.int64),
         np.empty((n, 4)),
         np.empty(n),
@@ -252,6 +252,7 @@ def shown_rows(
     for r in range(n):
         k = order[r]
         place = _place(label, tag[k])
+        out[0][r] = number
         out[1][r] = identity[place]
         for c in range(4):
             out[2][r, c] = xyxy[k, c]

@@ -39,6 +39,7 @@ from phdtrack.kernels.appearance import (
 from phdtrack.kernels.association import EDGE, beliefs
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import INNER, MERGED
+from phdtrack.kernels.filled import flags, minus_ones
 from phdtrack.kernels.gaussian import (
     PAIR,
     Expected,
@@ -50,7 +51,7 @@ from phdtrack.kernels.gaussian import (
     records,
     write_posteriors,
 )
-from phdtrack.kernels.jumps import Jumps, jumped, jumping, merged_pairs, with_jumps
+from phdtrack.kernels.jumps import Jumps, jumping, merged_pairs, of_jumped, with_jumps
 from phdtrack.kernels.verdicts import DOUBTFUL, write_verdicts
 
 TINY = float(np.finfo(np.float64).tiny)
@@ -250,7 +251,7 @@ def updated_layer(
     s: Settings,
     fresh: int,
     jumps: Jumps,
-    appearance: tuple[Pasts, Looks],
+    appearance: tuple[Pasts, Looks] | None,
 ) -> tuple[
     Layer,
     tuple[float, float, float, F8, F8, int, float],
@@ -258,7 +259,7 @@ def updated_layer(
     F8,
     tuple[float, float, float],
     I8,
-    Pasts,
+    Pasts | None,
 ]:
     """The targets after the measurements, with new ones, and what was learned [W15].
 
@@ -269,7 +270,8 @@ def updated_layer(
     new : the targets whose first detections these would be, which are labelled from ``fresh`` on.
     s : settings of the filter.
     jumps : how velocities may be new.
-    appearance : what hypotheses have seen of their targets, and what the measurements look like.
+    appearance : what hypotheses have seen of their targets, and what the measurements look like;
+        None where this is not known: then nothing that compares it is compiled.
 
     Returns
     -------
@@ -292,23 +294,22 @@ def updated_layer(
     # Gate
     pairs = _gated(e, m, s.gate, p_detect, tails)
     # Give new velocities to targets that nothing is near
-    jump = np.zeros(count, np.bool_)
+    jump = flags(count, False)
     if len(jumps.speed) > 0:
         least = UNLIKELY * s.existence_threshold
-        jump = jumping(targets, mean, covariance, pairs, e, m.z, jumps, least)
-        if jump.any():
+        jump, some = jumping(targets, mean, covariance, pairs, e, m.z, jumps, least)
+        if some:
             targets, hypotheses, mean, covariance, e = with_jumps(
                 (targets, hypotheses, mean, covariance), jump, e, jumps
             )
             layer = Layer(targets, hypotheses, mean, covariance)
             p_detect, visible, tails, genuine = _detection_terms(hypotheses, e.p_detect, s)
-            new_velocity = np.where(jumped(targets, jump, len(hypotheses)), p_detect, 0.0)
-            more = _gated(e, m, s.gate, new_velocity, tails)
+            more = _gated(e, m, s.gate, of_jumped(targets, jump, p_detect), tails)
             pairs = merged_pairs(pairs, more, targets, jump)
     # Associate
     exists = np.empty(count)
     measured = np.empty((3, len(m.z)))
-    looked, compared = _compared(appearance, pairs, hypotheses, count)
+    directions, compared = _compared(appearance, pairs, hypotheses, count)
     born, vanished, started = _associate(
         (targets, hypotheses, p_detect),
         genuine,
@@ -341,7 +342,9 @@ def updated_layer(
     t, k, lost, mass = _write_kept(
         (layer, visible), exists, kept, options, scores, s, len(m.period) > 2, out, gone
     )
-    exists[kept > 0] = 0.0
+    for i in range(count):
+        if kept[i] > 0:
+            exists[i] = 0.0
     # Add the new targets
     k, mass = _write_new(measured[2], (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
     return (
@@ -351,32 +354,45 @@ def updated_layer(
         exists,
         counted,
         _sure(targets, compared[1]),
-        _pasts(looked, out.hypotheses[:k]),
+        _pasts(appearance, directions, out.hypotheses[:k]),
     )
 
 
 @njit(**INNER)
 def _compared(
-    appearance: tuple[Pasts, Looks], pairs: Records, hypotheses: Records, count: int
-) -> tuple[tuple[Pasts, Looks, tuple[F4, F4]], tuple[F8, I8]]:
-    """The pasts, the looks, and the directions of the pasts; the log-likelihood ratios of the
-    pairs, and room for `write_verdicts` on ``count`` targets, both (0,) where nothing is known.
+    appearance: tuple[Pasts, Looks] | None, pairs: Records, hypotheses: Records, count: int
+) -> tuple[tuple[F4, F4], tuple[F8, I8]]:
+    """The directions of the pasts; and the log-likelihood ratios of the pairs, and room for
+    `write_verdicts` on ``count`` targets, all empty where nothing is known.
     """
-    pasts = Pasts(*appearance[0])
-    looks = named(appearance[1])
-    before = past_directions(pasts, looks)
-    ratio = pair_ratios(pairs, hypotheses, pasts, looks, before)
-    verdicts = np.empty(count if len(looks.mean) > 0 else 0, np.int64)
-    return (pasts, looks, before), (ratio, verdicts)
+    verdicts = np.empty(0, np.int64)
+    ratio = np.empty(0)
+    nothing = np.empty((0, 0), np.float32)
+    directions = nothing, nothing
+    # If the argument is None, Numba leaves this out, and compiles nothing that is called here.
+    if appearance is not None:
+        pasts = Pasts(*appearance[0])
+        looks = named(appearance[1])
+        directions = past_directions(pasts, looks)
+        ratio = pair_ratios(pairs, hypotheses, pasts, looks, directions)
+        verdicts = np.empty(count if len(looks.mean) > 0 else 0, np.int64)
+    return directions, (ratio, verdicts)
 
 
 @njit(**INNER)
-def _pasts(looked: tuple[Pasts, Looks, tuple[F4, F4]], hypotheses: Records) -> Pasts:
-    """The pasts of the updated hypotheses; those of before where nothing is seen."""
-    pasts, looks, before = looked
-    if len(looks.free) > 0:
-        pasts = pasts_after(hypotheses, pasts, looks, before)
-    return pasts
+def _pasts(
+    appearance: tuple[Pasts, Looks] | None, directions: tuple[F4, F4], hypotheses: Records
+) -> Pasts | None:
+    """The pasts of the updated hypotheses; those of before where nothing is seen, None where
+    nothing is known.
+    """
+    if appearance is not None:
+        pasts = Pasts(*appearance[0])
+        looks = named(appearance[1])
+        if len(looks.free) > 0:
+            pasts = pasts_after(hypotheses, pasts, looks, directions)
+        return pasts
+    return None
 
 
 @njit(**INNER)
@@ -562,9 +578,11 @@ def _weigh(
     ratio, verdicts = appearance
     edges = np.empty(pairs.size, EDGE)
     by_motion = np.empty(pairs.size)
-    place = np.full(evidence.size, -1)
+    place = minus_ones(evidence.size)
     edge_of = np.empty(pairs.size, np.int64)
-    alone = np.maximum(evidence, TINY)
+    alone = np.empty(evidence.size)
+    for j in range(evidence.size):
+        alone[j] = evidence[j] if evidence[j] > TINY else TINY
     # A literal zero is a type of its own.
     count = 0 * pairs.size
     q = 0 * pairs.size
@@ -656,6 +674,8 @@ def _choose(
     targets, hypotheses, p_detect = before
     q = 0 * pairs.size
     k = 0 * pairs.size
+    # A literal number is a type of its own.
+    none = q - 1
     for t in range(targets.size):
         target = targets[t]
         total = exists[t]
@@ -691,7 +711,7 @@ def _choose(
         for c in range(target.begin, target.end):
             weight = unseen * hypotheses[c].weight * (1.0 - p_detect[c])
             if weight >= least[hypotheses[c].static] and weight > 0.0:
-                end = _sorted_in(options, (k, end), (c, -1), (weight, 0.0, 0.0))
+                end = _sorted_in(options, (k, end), (c, none), (weight, 0.0, 0.0))
         kept[t] = end - k if end - k < s.max_hypotheses else int(s.max_hypotheses)
         k += kept[t]
     return k
@@ -808,7 +828,7 @@ def _write_kept(
     targets, hypotheses, mean, cov = out
     (old_targets, old, old_mean, old_cov), visible = before
     limit = s.merge_distance * s.merge_distance
-    number = 0
+    number = 0 * exists.size
     k = 0 * kept.size
     end = 0 * kept.size
     lost = 0

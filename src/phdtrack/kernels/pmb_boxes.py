@@ -10,15 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F8, I8
-from phdtrack.kernels.appearance import UNKNOWN
 from phdtrack.kernels.box import Noise, box_covariances, box_deviations, predicted_boxes
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.filled import floats
 from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets
 from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import Layer, Scores, Settings, predicted_layer, updated_layer
 
-_LAW = tuple(UNKNOWN)
 _OBSERVED = (0, 1, 4, 5)
 
 
@@ -123,7 +122,7 @@ def stepped_boxes(
     for a in range(4):
         rows[a] = _OBSERVED[a]
     expected = Expected(
-        rows, ahead.mean, ahead.covariance, ahead.covariance, own, np.full(many, p_detect)
+        rows, ahead.mean, ahead.covariance, ahead.covariance, own, floats(many, p_detect)
     )
     usual = np.empty((many if turns.possible else 0, 2))
     if len(usual) > 0:
@@ -132,14 +131,8 @@ def stepped_boxes(
             usual[c, 0] = deviations[2, c]
             usual[c, 1] = deviations[3, c]
     jumps = Jumps(turns.interval, turns.fast, turns.turn, usual, turns.wide)
-    # Nothing is known of appearance.
-    none = np.empty(0)
-    unseen = np.empty((0, 0), np.float32)
-    pasts = (unseen, none, none, none, unseen, none)
-    nobody = np.empty(0, np.int64)
-    looks = (unseen, unseen, np.empty(0, np.float32), none, _LAW, 0.0, 1.0, nobody)
     after, learned, gone, _, counted, _, _ = updated_layer(
-        ahead, expected, m, new, scores, settings, fresh, jumps, (pasts, looks)
+        ahead, expected, m, new, scores, settings, fresh, jumps, None
     )
     return (
         (after.targets, after.hypotheses, after.mean, after.covariance),

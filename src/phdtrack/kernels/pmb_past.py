@@ -187,8 +187,8 @@ def scaled(covariance: F8, hypotheses: Records, at: I8) -> F8:
     root = np.empty(d)
     for k in range(at.size):
         of = hypotheses[at[k]]
-        root[:4] = math.sqrt(of.position_scale)
-        root[4:] = math.sqrt(of.size_scale)
+        for a in range(d):
+            root[a] = math.sqrt(of.position_scale if a < 4 else of.size_scale)
         for a in range(d):
             for b in range(d):
                 out[k, a, b] = root[a] * covariance[at[k], a, b] * root[b]

@@ -10,6 +10,7 @@ from phdtrack.kernels import F8, I8, Records
 from phdtrack.kernels.association import EDGE
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.filled import floats
 
 # Verdicts on a target's measurement: it has none, or there is doubt. The odds of a pair that leave
 # none.
@@ -29,8 +30,8 @@ def write_verdicts(edges: Records, odds: F8, measurements: int, verdicts: I8) ->
     """
     if verdicts.size == 0:
         return
-    total = np.zeros(verdicts.size)
-    claimed = np.zeros(measurements)
+    total = floats(verdicts.size, 0.0)
+    claimed = floats(measurements, 0.0)
     for k in range(edges.size):
         total[edges[k].target] += odds[k]
         claimed[edges[k].measurement] += odds[k]
