@@ -95,6 +95,47 @@ def test_a_kernel_that_calls_a_changed_one_is_compiled_again(installed: Path) ->
     assert (found["value"], found["loaded"], said) == (30, 0, "")
 
 
+TWO = """
+import json
+from phdtrack.kernels.caller import caller
+from phdtrack.kernels.other import other
+values = [caller(1), other(1)]
+loaded = [sum(kernel.stats.cache_hits.values()) for kernel in (caller, other)]
+print(json.dumps(values + loaded))
+"""
+
+
+def two_kernels(installed: Path) -> list[int]:
+    """What `caller` and `other` of a fresh process give, and how often each was loaded."""
+    environment = os.environ | {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", TWO],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    found: list[int] = json.loads(done.stdout)
+    return found
+
+
+def test_a_changed_kernel_leaves_those_that_do_not_use_it(installed: Path) -> None:
+    kernels = installed / "phdtrack" / "kernels"
+    (kernels / "other.py").write_text(
+        "from numba import njit\n\n\n@njit(cache=True)\ndef other(x):\n    return -x\n"
+    )
+    assert two_kernels(installed) == [20, -1, 0, 0]
+    assert two_kernels(installed) == [20, -1, 1, 1]
+    (kernels / "leaf.py").write_text(LEAF.format(2))
+    assert two_kernels(installed) == [30, -1, 0, 1]
+    # What all of them import.
+    package = kernels / "__init__.py"
+    package.write_text(package.read_text() + "\n# Changed\n")
+    assert two_kernels(installed) == [30, -1, 0, 0]
+
+
 def test_a_read_only_installation_uses_the_home_folder(installed: Path, tmp_path: Path) -> None:
     unwritable(installed / "phdtrack" / "kernels")
     home = tmp_path / "home"

@@ -5,8 +5,8 @@ beside the sources, the user's own cache. Two things are added:
 
 * If it can write into none, a folder is made that lives as long as the process.
 * Numba compiles a kernel anew only if the file of that kernel has changed, not the files of the
-  functions that it calls. So the folder carries a digest of all sources, and is emptied if that
-  changes.
+  functions that it calls. So the folder carries a digest for each file, of its text and of all
+  that it imports from this package, and the kernels of a file are removed if that changes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import gc
 import hashlib
 import logging
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -38,6 +39,8 @@ _ALWAYS_COMPILING = (
     " can) ..."
 )
 SOURCES = Path(__file__).parent
+# What a file of kernels says of those that it imports.
+_IMPORTS = re.compile(rb"^from phdtrack\.kernels\.(\w+) import", re.MULTILINE)
 # The folder that lives as long as the process, if there is one.
 _TEMPORARY = list[str]()
 
@@ -76,8 +79,8 @@ class _Compilations(event.Listener):  # type: ignore[misc]
 
 
 def prepare() -> None:
-    """Find the folder as Numba does, make one if there is none, empty it if its kernels are of
-    other sources; announce when kernels are compiled.
+    """Find the folder as Numba does, make one if there is none, remove kernels of other sources
+    from it; announce when kernels are compiled.
     """
     if numba.config.DISABLE_JIT:
         return
@@ -91,17 +94,48 @@ def prepare() -> None:
         atexit.register(shutil.rmtree, numba.config.CACHE_DIR, ignore_errors=True)
         folder = _numbas_folder()
     event.register("numba:compile", _Compilations(_COMPILING if lasting else _ALWAYS_COMPILING))
-    total = hashlib.sha256()
-    for file in sorted(SOURCES.glob("*.py")):
-        total.update(file.name.encode() + hashlib.sha256(file.read_bytes()).digest())
+    _remove_outdated(folder, _digests())
+
+
+def _digests() -> dict[str, str]:
+    """A digest of each file of kernels, and of all those that it imports."""
+    text = {file.stem: file.read_bytes() for file in SOURCES.glob("*.py")}
+    imports = {name: {found.decode() for found in _IMPORTS.findall(text[name])} for name in text}
+    single = {name: hashlib.sha256(text[name]).digest() for name in text}
+    digests = {}
+    for name in text:
+        # Python runs the package's own file before any other.
+        needed = {name, "__init__"}
+        waiting = list(needed)
+        while waiting:
+            more = imports[waiting.pop()] & text.keys() - needed
+            needed |= more
+            waiting += more
+        total = hashlib.sha256()
+        for other in sorted(needed):
+            total.update(other.encode() + single[other])
+        digests[name] = total.hexdigest()
+    return digests
+
+
+def _remove_outdated(folder: Path, digests: dict[str, str]) -> None:
+    """Remove kernels from the folder whose file had another digest, or none, when they were kept,
+    and write the ``digests`` of now.
+    """
     stamp = folder / "phdtrack-kernels.sha256"
-    now = total.hexdigest()
+    now = "".join(f"{digests[name]}  {name}\n" for name in sorted(digests))
+    before = ""
     with suppress(OSError):
-        if stamp.read_text() == now:
-            return
-    for index in folder.glob("*.nb[ic]"):
-        # Another process may be doing the same.
-        index.unlink(missing_ok=True)
+        before = stamp.read_text()
+    if before == now:
+        return
+    known = set(before.splitlines())
+    current = {name for name in digests if f"{digests[name]}  {name}" in known}
+    for kept in folder.glob("*.nb[ic]"):
+        # Numba's names begin with that of the file.
+        if kept.name.partition(".")[0] not in current:
+            # Another process may be doing the same.
+            kept.unlink(missing_ok=True)
     stamp.write_text(now)
 
 
