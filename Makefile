@@ -6,8 +6,8 @@
 #   make test-slow    browsers, processes, real time, many seeds, experiments in their short form
 #   make experiments  the tables under docs/results/ (hours); ARGS="m07 --quick" for a short one
 #   make docs-check   lists the tables that are older than their code, and the command for each
-#   make bench        speed and memory against other libraries, below five minutes
-#   make bench-full   the same with all sizes, more frames and seeds
+#   make bench        ratios to other libraries and programs, about five minutes
+#   make bench-full   all of speed and memory, with all sizes, more frames and seeds
 #   make format       reformat the sources
 #   make docs         write the generated pages and types, and the outputs of notebooks, again
 #   make site         the documentation as a website that works offline, in build/site

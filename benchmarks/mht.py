@@ -21,7 +21,6 @@ from phdtrack.filters.hypotheses import Hypotheses
 KEYS = ("mht_ms", "mht", "pmbm_ms", "pmbm")
 TARGETS = 10
 CLUTTER = (10, 50)
-LIMIT = {("mht", 50): 50.0, ("pmbm", 10): 3.0, ("pmbm", 50): 12.0}
 
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
@@ -49,14 +48,12 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
                 f"{name} at most {count}" for name, count in held[str(clutter)].items()
             )
             name = f"{kind.upper()}, {TARGETS} targets, {clutter} false alarms"
-            limit = LIMIT.get((kind, clutter))
             rows.append(
                 Row(
                     name,
                     spread.median,
                     "ms",
                     spread,
-                    limit,
                     note=note,
                     cpu=float(np.median(cpu)) * 1e3,
                 )

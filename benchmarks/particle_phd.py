@@ -26,7 +26,6 @@ from phdtrack.types import ParticleBlocks, Particles
 
 KEYS = ("particle_phd_ms", "particle_phd", "growth_exponent", "threads", "ns_per_pair")
 WARM_UP = 12
-LIMIT_MS = {10: 0.7, 100: 7.0, 1000: 70.0}
 
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
@@ -151,13 +150,11 @@ def _row(targets: int, form: str, mine: list[dict[str, Any]]) -> Row:
     middle = sorted(mine, key=lambda d: d["total_ms"])[len(mine) // 2]
     note = " + ".join(f"{name} {middle[name]['median']:.3g}" for name in ("filter", "extract"))
     note += f"; association {middle['associate']['median']:.3g}; OSPA {middle['ospa']:.1f} px"
-    most = LIMIT_MS.get(targets) if form == "worst" else None
     return Row(
         f"{targets} targets, {form} births",
         middle["total_ms"],
         "ms",
         Spread(**middle["total"]),
-        most,
         note=note,
         cpu=middle["cpu"]["median"],
     )

@@ -105,10 +105,14 @@ SMOKE = Scale(
 SCALES: Mapping[str, Scale] = {scale.name: scale for scale in (QUICK, FULL, SMOKE)}
 
 
+# Units that depend on the machine.
+TIMES = ("s", "ms", "µs", "frames/s")
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
     """A line of the table: a value with its quartiles, and the limit it is held to (``most`` or
-    ``least``).
+    ``least``): none for times, which depend on the machine, but for ratios of one run.
 
     ``cpu`` is the same of the thread's processor time, which a busy machine does not lengthen; no
     limit is for it.
@@ -122,6 +126,10 @@ class Row:
     least: float | None = None
     note: str = ""
     cpu: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.unit in TIMES and (self.most is not None or self.least is not None):
+            raise ValueError(f"{self.what}: expected a ratio for a limit, got {self.unit}")
 
     @property
     def kept(self) -> bool | None:
@@ -143,9 +151,12 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One part: ``keys`` are the entries it makes, which are null where it fails."""
+    """One part: ``keys`` are the entries it makes, which are null where it fails; ``quick``: of
+    `make bench`, the others of `make bench-full`.
+    """
 
     name: str
     title: str
     run: Callable[[Scale, Callable[[str], None]], Outcome]
     keys: tuple[str, ...] = ()
+    quick: bool = False

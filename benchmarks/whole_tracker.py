@@ -10,6 +10,9 @@ names, by its MOTA on the smaller scenes; only their update call is timed.
 What counts is what `update` returns, MOTA at IoU 0.5: of phdtrack all rows, also those that it
 flags as not confirmed yet; of a peer the rows with an identity, or all boxes that it returns where
 that is better for it.
+
+If the data of the experiments lies beside the project (`experiments.common.data_place`), the same
+is done on real detections, at the frame rate of each sequence and with the settings found above.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +33,9 @@ from benchmarks.parts import Outcome, Row, Scale, Skipped
 from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import RATE, Crowd, Stream, draw
 from phdtrack import Tracker
+from phdtrack.formats import read_truth
 from phdtrack.metrics import evaluate
-from phdtrack.types import F8, Tracks
+from phdtrack.types import F8, Detections, DetectionTable, Tracks
 
 KEYS = ("tracker_ms", "trackers")
 ROOT = Path(__file__).resolve().parent.parent
@@ -45,6 +50,19 @@ LEAST_RATIO = {
     "200 easy": 5.0,
     "200 hard": 9.0,
 }
+# Real detections: the sequences of `experiments.cameras` with a detector, so many frames of each;
+# goals for the mean ratio and for the least one.
+REAL = (
+    ("MOT17-09", "yolox"),
+    ("MOT17-11", "yolox"),
+    ("MOT20-01", "yolox"),
+    ("KITTI-0001-car", "rrc"),
+    ("dancetrack0026", "yolox"),
+    ("football-1", "u5"),
+)
+REAL_FRAMES = 300
+LEAST_MEAN = 1.2
+LEAST_WORST = 0.8
 LIFE = 150
 # Settings tried, each library's own defaults first (Norfair has no default threshold): tracks kept
 # shorter, confirmed sooner or later. The scenes' frame_rate is given to those that ask for it.
@@ -81,10 +99,41 @@ def cases(scale: Scale) -> list[Case]:
     return out
 
 
+def real_streams(scale: Scale) -> dict[str, Stream]:
+    """Real detections with their truth; none if the data is not there, or the scale is small."""
+    from experiments.cameras import boxes_of, folder_of
+    from experiments.common import data_place
+
+    if not scale.others or not (data_place() / "more").is_dir():
+        return {}
+    out = {}
+    for sequence, detector in REAL:
+        info, frame, boxes = boxes_of(sequence, detector)
+        frames = min(info.frames, REAL_FRAMES)
+        order = np.argsort(frame, kind="stable")
+        order = order[frame[order] <= frames]
+        truth = read_truth(folder_of(sequence) / "gt" / "gt.txt")
+        early = truth.frame <= frames
+        found = Detections.of(boxes[order, :4], boxes[order, 4])
+        out[f"{sequence} {detector}"] = Stream(
+            replace(info, frames=frames),
+            replace(
+                truth,
+                frame=truth.frame[early],
+                identity=truth.identity[early],
+                xyxy=truth.xyxy[early],
+                distractor=truth.distractor[early],
+            ),
+            DetectionTable(frame[order], found),
+        )
+    return out
+
+
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """Ours and the peers on every case."""
     scenes = cases(scale)
     streams = {name: draw(crowd, 1) for name, crowd in scenes}
+    real = real_streams(scale)
     few = {
         name: streams[name] for name, crowd in scenes if crowd.targets == min(scale.peer_objects)
     }
@@ -97,11 +146,18 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         except Skipped as reason:
             reasons[peer] = str(reason)
     results: dict[str, dict[str, dict[str, Any]]] = {who: {} for who in ("phdtrack", *chosen)}
-    for name, stream in streams.items():
+    for name, stream in (streams | real).items():
         say(name)
         for who, result in _in_turns(stream, chosen, scale.rounds).items():
             results[who][name] = result
-    rows = [row for name in streams for row in _rows(name, results)]
+    rows = [row for name in (*streams, *real) for row in _rows(name, results)]
+    if real and chosen:
+        ratios = np.array([fastest_ratio(name, results)[0] for name in real])
+        what = "real detections: phdtrack against the fastest peer"
+        rows.append(Row(f"{what}, mean", float(ratios.mean()), "×", least=LEAST_MEAN))
+        rows.append(Row(f"{what}, least", float(ratios.min()), "×", least=LEAST_WORST))
+    if not real:
+        rows.append(Row("real detections", float("nan"), "", note="skipped: no data beside it"))
     rows += [
         Row(peer, float("nan"), "", note=f"skipped: {reason}") for peer, reason in reasons.items()
     ]
@@ -159,7 +215,7 @@ def ours(stream: Stream) -> dict[str, Any]:
 
     Those are the rows that it has confirmed, and the corrected tracks of the end.
     """
-    tracker = Tracker((stream.info.width, stream.info.height), fps=RATE)
+    tracker = Tracker((stream.info.width, stream.info.height), fps=stream.info.fps)
     spent = []
     parts = []
     for found in stream.detections():
@@ -205,6 +261,8 @@ def theirs(peer: str, settings: dict[str, Any], stream: Stream) -> dict[str, Any
         raise Skipped(
             f"no environment for the peers at {python.parent.parent.name}: make bench makes it"
         )
+    if "frame_rate" in settings:
+        settings = settings | {"frame_rate": stream.info.fps}
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "in.npz"
         target = Path(folder) / "out.npz"
@@ -276,12 +334,9 @@ def _rows(case: str, results: dict[str, dict[str, dict[str, Any]]]) -> list[Row]
         rows.append(
             Row(f"{case}: {who}", spread.median, "ms", spread, note=note, cpu=result["cpu_ms"])
         )
-    peers = {who: of[case] for who, of in results.items() if who != "phdtrack"}
-    if peers:
-        fastest = min(peers.values(), key=lambda r: r["ms"]["median"])
-        ratio = fastest["ms"]["median"] / mine["ms"]["median"]
-        of_cpu = fastest["cpu_ms"] / mine["cpu_ms"]
-        best = max(r["MOTA"] for r in peers.values())
+    if len(results) > 1:
+        ratio, of_cpu = fastest_ratio(case, results)
+        best = max(of[case]["MOTA"] for who, of in results.items() if who != "phdtrack")
         hard = case == "200 hard"
         rows.append(
             Row(
@@ -297,3 +352,12 @@ def _rows(case: str, results: dict[str, dict[str, dict[str, Any]]]) -> list[Row]
             Row(f"{case}: MOTA above the best peer's", gain, "", least=0.0 if hard else None)
         )
     return rows
+
+
+def fastest_ratio(case: str, results: dict[str, dict[str, dict[str, Any]]]) -> tuple[float, float]:
+    """How many times as fast as the fastest peer ours is, by the clock and in processor time."""
+    mine = results["phdtrack"][case]
+    peers = [of[case] for who, of in results.items() if who != "phdtrack"]
+    fastest = min(peers, key=lambda result: float(result["ms"]["median"]))
+    ratio = fastest["ms"]["median"] / mine["ms"]["median"]
+    return ratio, fastest["cpu_ms"] / mine["cpu_ms"]

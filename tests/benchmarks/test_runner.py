@@ -5,6 +5,7 @@ the others.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from benchmarks import c_kernel, d14, mht, particle_phd
-from benchmarks.__main__ import measure
+from benchmarks.__main__ import main, measure
 from benchmarks.parts import SMOKE, Outcome, Part, Row, Skipped
 from benchmarks.registry import PARTS
 from benchmarks.report import Paper
@@ -53,7 +54,7 @@ def test_a_failed_part_leaves_its_reason_and_others_go_on(tmp_path: Path) -> Non
 
     def fine(scale: object, say: object) -> Outcome:
         rows = (
-            Row("slow", 2.0, "ms", most=1.0),
+            Row("slow", 2.0, "×", most=1.0),
             Row("fast", 2.0, "×", least=1.0),
             Row("free", float("nan"), ""),
         )
@@ -85,11 +86,37 @@ def test_a_failed_part_leaves_its_reason_and_others_go_on(tmp_path: Path) -> Non
     assert document["seeds"] == [1]
 
 
+@pytest.mark.parametrize("unit", ["s", "ms", "µs", "frames/s"])
+def test_a_time_has_no_limit(unit: str) -> None:
+    assert Row("a time", 2.0, unit).kept is None
+    for limit in ({"most": 1.0}, {"least": 1.0}):
+        with pytest.raises(ValueError, match=f"a time: expected a ratio for a limit, got {unit}"):
+            Row("a time", 2.0, unit, **limit)
+
+
+def test_the_quick_run_has_the_parts_with_ratios_to_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ran(*arguments: str) -> list[str]:
+        out = tmp_path / "bench.json"
+        assert main([*arguments, "--out", str(out)]) == 0
+        return list(json.loads(out.read_text())["parts"])
+
+    def nothing(scale: object, say: object) -> Outcome:
+        return Outcome(())
+
+    idle = tuple(replace(part, run=nothing) for part in PARTS)
+    monkeypatch.setattr("benchmarks.__main__.PARTS", idle)
+    assert ran() == ["numpy-twins", "c-kernel", "tracker", "command"]
+    assert ran("--full") == [part.name for part in PARTS]
+    assert ran("--only", "mht") == ["mht"]
+
+
 def test_the_table_has_every_part_and_its_reason() -> None:
     sheet, console = paper()
     sheet.part(
         "Some part",
-        (Row("a value", 12.5, "ms", Spread.of([12.0, 12.5, 13.0]), most=20.0, note="n [b]"),),
+        (Row("a value", 12.5, "MiB", Spread.of([12.0, 12.5, 13.0]), most=20.0, note="n [b]"),),
     )
     sheet.part("Other part", (), "skipped: no compiler [cc]")
     console.quiet = False
@@ -98,7 +125,7 @@ def test_the_table_has_every_part_and_its_reason() -> None:
     text = caught.get()
     for word in (
         "Some part",
-        "12.5 ms",
+        "12.5 MiB",
         "12.2 … 12.8",
         "≤ 20",
         "yes",
@@ -123,13 +150,13 @@ def test_the_particle_part_measures_all_sizes_and_forms() -> None:
 def test_d14s_sequence_is_timed_with_its_filters() -> None:
     outcome = d14.run(SMOKE, lambda text: None)
     assert set(outcome.entries["d14_seconds"]) == {"mcmc", "mcmc_each", "particle-phd"}
-    assert [row.most for row in outcome.rows] == [2.0, 2.0, 2.0]
+    assert all(row.value > 0 for row in outcome.rows)
     assert all(row.cpu is not None and row.cpu > 0 for row in outcome.rows)
 
 
 def test_multiple_hypotheses_are_timed_and_counted() -> None:
     outcome = mht.run(SMOKE, lambda text: None)
-    assert [row.most for row in outcome.rows] == [None, 50.0, 3.0, 12.0]
+    assert len(outcome.rows) == 4
     assert all(row.cpu is not None and row.cpu > 0 for row in outcome.rows)
     for kind in ("mht", "pmbm"):
         few = outcome.entries[kind]["10"]
