@@ -208,9 +208,7 @@ def fitted(
     weight = floats(len(pairs[0]), 0.0)
     total = np.empty(len(predicted))
     motion = floats(len(scale), 0.0)
-    spread = np.empty(4)
-    for k in range(4):
-        spread[k] = abs(scale[k])
+    spread = _magnitudes(scale)
     pull = np.empty(4)
     motion[0] = start[0]
     motion[1] = start[1]
@@ -236,16 +234,31 @@ def fitted(
     estimate = np.empty(4)
     error = np.empty(4)
     # The log-probability of the detections, by the last weights.
-    evidence = 0.0
-    for i in range(len(total)):
-        evidence += math.log(total[i])
-    evidence -= 0.5 * math.log(determinant)
+    evidence = _log_product(total) - 0.5 * math.log(determinant)
     for k in range(4):
         error[k] = 1.0 / max(1.0 / covariance[k, k] - 1.0 / spread[k], 1e-12)
         estimate[k] = error[k] * motion[k] / covariance[k, k]
         evidence -= _prior_penalty(motion[k], scale[k])
     squares = _errors(pairs, weight, total, detected, frame[2], information, pull)
     return motion, estimate, error, evidence, squares
+
+
+@njit(**INNER)
+def _magnitudes(numbers: F8) -> F8:
+    """The numbers (4,) without their signs."""
+    out = np.empty(4)
+    for k in range(4):
+        out[k] = abs(numbers[k])
+    return out
+
+
+@njit(**INNER)
+def _log_product(numbers: F8) -> float:
+    """The logarithm of the product of the numbers (n,)."""
+    total = 0.0
+    for i in range(len(numbers)):
+        total += math.log(numbers[i])
+    return total
 
 
 @njit(**INNER)
@@ -258,6 +271,25 @@ def _prior_penalty(motion: float, scale: float) -> float:
     if scale > 0.0:
         penalty = 0.5 * (PRIOR_FREEDOM + 1.0) * math.log(1.0 + off / PRIOR_FREEDOM)
     return 0.5 * math.log(abs(scale)) + penalty
+
+
+@njit(**INNER)
+def _vector(x: float, y: float, z: float) -> F8:
+    """The three numbers as an array."""
+    out = np.empty(3)
+    out[0] = x
+    out[1] = y
+    out[2] = z
+    return out
+
+
+@njit(**INNER)
+def _sizes(predicted: F8) -> F8:
+    """(n,) sizes of targets, from the logarithms of their widths and heights."""
+    out = np.empty(len(predicted))
+    for i in range(len(predicted)):
+        out[i] = math.exp(0.5 * (predicted[i, 2] + predicted[i, 3]))
+    return out
 
 
 @njit(**MERGED)
@@ -292,18 +324,12 @@ def frame_motion(
     if jumps and few and len(predicted) >= AGREE:
         x, y, cell, votes = voted(predicted, z, frame[2])
         if votes >= AGREE:
-            at = np.empty(3)
-            at[0] = x
-            at[1] = y
-            at[2] = cell
+            at = _vector(x, y, cell)
             jump = fitted(predicted, variance, z, detected, density, frame, wide, at)
             if jump[3] - jump_penalty > evidence:
                 motion, estimate, errors, evidence, squares = jump
                 evidence -= jump_penalty
-    sizes = np.empty(len(predicted))
-    for i in range(len(predicted)):
-        sizes[i] = math.exp(0.5 * (predicted[i, 2] + predicted[i, 3]))
-    share = (least_share * _middle(sizes)) ** 2
+    share = (least_share * _middle(_sizes(predicted))) ** 2
     first = True
     for k in range(4):
         first = first and weight[k] == 0.0

@@ -146,7 +146,7 @@ def neighbours(boxes: F8, counted: Bool, most: int) -> tuple[int, int]:
 
 @njit(**INNER)
 def _blended(before: F8, prior: F8, kept: float) -> F8:
-    """What is ``kept`` of the numbers (n,) before, and the rest of a prior (n,)."""
+    """The numbers (n,) before, of which ``kept`` remains, and the rest of a prior (n,)."""
     out = np.empty(before.size)
     for k in range(before.size):
         out[k] = kept * before[k] + (1 - kept) * prior[k]

@@ -580,9 +580,7 @@ def _weigh(
     by_motion = np.empty(pairs.size)
     place = minus_ones(evidence.size)
     edge_of = np.empty(pairs.size, np.int64)
-    alone = np.empty(evidence.size)
-    for j in range(evidence.size):
-        alone[j] = evidence[j] if evidence[j] > TINY else TINY
+    alone = _at_least(evidence, TINY)
     # A literal zero is a type of its own.
     count = 0 * pairs.size
     q = 0 * pairs.size
@@ -618,6 +616,15 @@ def _weigh(
         missed[t] *= nothing[t]
     _share(edges, edge_of, pairs)
     return p_new
+
+
+@njit(**INNER)
+def _at_least(numbers: F8, least: float) -> F8:
+    """The numbers (n,), none below ``least``."""
+    out = np.empty(numbers.size)
+    for j in range(numbers.size):
+        out[j] = numbers[j] if numbers[j] > least else least
+    return out
 
 
 @njit(**INNER)
