@@ -143,7 +143,7 @@ def check_sequences(sequences: Sequence[str]) -> None:
         raise InputError(
             "one sequence is not enough to choose settings: nothing would show how they do on"
             " another one",
-            where="SEQUENCE",
+            where="the sequences",
             cure="Name two or more; from five on the result tells something.",
         )
 
