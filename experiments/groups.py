@@ -20,14 +20,16 @@ import numpy as np
 
 from experiments.common import Options, in_parallel, need_data, table, with_error, write
 from experiments.group_scores import GroupScores, LabelledFrame, nearest, score_groups
-from experiments.walked_scenes import MARGIN, SIMULATED, Positions, WalkedScene, simulated
+from experiments.walked_scenes import MARGIN, SIMULATED, WalkedScene, simulated
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
+from phdtrack.formats.known_positions import KnownPositions, read_positions
 from phdtrack.groups.clusters import Grouping
 from phdtrack.groups.group_stages import carriers, on_ground
 from phdtrack.groups.life_cycle import GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pairs import Pairs, PairState, Walkers
 from phdtrack.protocols import AnyStages
+from phdtrack.run.position_groups import BODY, GAIT
 from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks
 
 # Frames per second of the annotated video; every sixth and every tenth is annotated.
@@ -46,22 +48,8 @@ CLUTTER = 0.5
 CROWD = 3
 # States farther than this from all true positions are false, metres.
 WITHIN = 1.0
-# Deviations of a person whose position and velocity are known, metres and metres per second: body
-# width, gait.
-BODY = 0.3
-GAIT = 0.1
 # Scores of groups by pairs, by kind of people, and whether only past and present frames count.
 PairScores = dict[tuple[str, str], GroupScores]
-
-
-def read_positions(path: Path) -> Positions:
-    """The people of an ``obsmat.txt`` of ETH and UCY: frame, identity, x, z, y, vx, vz, vy a line,
-    z upwards.
-    """
-    values = np.loadtxt(path)
-    values = values[np.lexsort((values[:, 1], values[:, 0]))]
-    frame, identity = values[:, :2].T.astype(np.int64)
-    return Positions(frame, identity, np.ascontiguousarray(values[:, [2, 4, 5, 7]].T))
 
 
 def known_people(state: F8) -> GaussianMixture:
@@ -332,7 +320,7 @@ def folded(where: WalkedScene, times: int) -> WalkedScene:
     apart = part[order] * (int(people.identity.max()) + 1)
     group = where.group[order]
     return WalkedScene(
-        Positions(frame[order], people.identity[order] + apart, people.state[:, order]),
+        KnownPositions(frame[order], people.identity[order] + apart, people.state[:, order]),
         np.where(group > 0, group + part[order] * (int(where.group.max()) + 1), 0),
         where.number[:length],
         where.time[:length],

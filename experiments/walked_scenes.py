@@ -8,10 +8,12 @@ way to those of other companies who are nearer than 1.2 m.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from phdtrack.formats.known_positions import KnownPositions
 from phdtrack.types import F8, I8
 
 # Seconds of a simulated step, and how many of them there are to an annotated frame.
@@ -33,33 +35,12 @@ TALKING = (0.45, 0.3, 0.15, 0.1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Positions:
-    """People on the ground, sorted by frame, then identity.
-
-    ``frame`` (M,), ``identity`` (M,), and ``state`` (4, M): px, py in metres, vx, vy in metres per
-    second.
-    """
-
-    frame: I8
-    identity: I8
-    state: F8
-
-    def __len__(self) -> int:
-        return len(self.frame)
-
-    def at(self, number: int) -> Positions:
-        """The people of frame ``number``."""
-        lo, hi = np.searchsorted(self.frame, [number, number + 1])
-        return Positions(self.frame[lo:hi], self.identity[lo:hi], self.state[:, lo:hi])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class WalkedScene:
     """A sequence: people, the annotated ``group`` (M,) of each row, 0 for none, number and seconds
     (F,) of its frames.
     """
 
-    people: Positions
+    people: KnownPositions
     group: I8
     number: I8
     time: F8
@@ -151,7 +132,7 @@ def _away(place: F8, others: F8) -> F8:
     return np.asarray((strength / distance)[..., None] * offset).sum(axis=1)
 
 
-class _Place:
+class _Place(ABC):
     """Where companies come, stand and go."""
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -189,13 +170,13 @@ class _Place:
             return 1
         return int(self.rng.choice([2, 3, 4], p=SIZES))
 
+    @abstractmethod
     def act(self, time: float) -> None:
-        """What happens at a time besides that people walk."""
-        raise NotImplementedError
+        """Let companies come and go, before everybody walks on."""
 
+    @abstractmethod
     def leave(self) -> F8:
-        """Where a company goes that has stood long enough."""
-        raise NotImplementedError
+        """(2,) where a company goes that has stood long enough."""
 
     def advance(self, time: float) -> None:
         """One step."""
@@ -257,8 +238,8 @@ class _Stop(_Place):
         return np.asarray(spot)
 
     def leave(self) -> F8:
-        """Nobody stops waiting."""
-        raise NotImplementedError
+        """(2,) the end of the platform: of those who wait nobody gives up."""
+        return np.array([-2.0, 1.0])
 
 
 class _Square(_Place):
@@ -320,5 +301,5 @@ def simulated(name: str, seed: int, duration: float = DURATION) -> WalkedScene:
     table = table[np.lexsort((table[:, 1], table[:, 0]))]
     frame, identity, group = table[:, :3].T.astype(np.int64)
     number = np.unique(frame)
-    people = Positions(frame, identity, np.ascontiguousarray(table[:, 3:].T))
+    people = KnownPositions(frame, identity, np.ascontiguousarray(table[:, 3:].T))
     return WalkedScene(people, group, number, number * STEP * STEPS)

@@ -746,11 +746,12 @@ class Tracks:
         parts : rows of any frames, none twice.
         """
         parts = parts or [cls.empty()]
-        columns: list[Any]
-        columns = [np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS]
-        data = stacked([part.data for part in parts], [len(part) for part in parts])
-        order = np.lexsort((columns[1], columns[0]))
-        return cls(*[*columns, data]).select(order)
+        columns: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS
+        }
+        columns["data"] = stacked([part.data for part in parts], [len(part) for part in parts])
+        order = np.lexsort((columns["identity"], columns["frame"]))
+        return cls(**columns).select(order)
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -762,9 +763,8 @@ class Tracks:
         ----------
         index : (K,) integers, or (M,) a mask.
         """
-        columns: list[Any] = [getattr(self, name)[index] for name in _COLUMNS]
-        data = {name: column[index] for name, column in self.data.items()}
-        return Tracks(*[*columns, data])
+        columns: dict[str, Any] = {name: getattr(self, name)[index] for name in _COLUMNS}
+        return Tracks(**columns, data={name: each[index] for name, each in self.data.items()})
 
     def __getitem__(self, index: int | slice | I8 | Bool) -> Tracks:
         """The rows at ``index``: one, a slice, integers or a mask, in that order."""

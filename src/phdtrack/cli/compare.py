@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -48,7 +48,7 @@ _VARIANT = (
     "Another method, as few=filter.history=5,preset=m09: the first filter with these settings."
     " Repeatable."
 )
-_SETS = "Sets of the folders, or files with {} in place of the sequence. Default: all sets."
+SETS = "Sets of the folders, or files with {} in place of the sequence. Default: all sets."
 _LOOKS = (
     "What boxes look like, read from the pictures: colours, onnx:FILE, or none. Default:"
     f" {DEFAULT_APPEARANCE}."
@@ -64,7 +64,7 @@ class PlanOptions:
     ] = ""
     detections: Annotated[
         str,
-        option("NAMES", _SETS),
+        option("NAMES", SETS),
     ] = ""
     detectors: Annotated[str, option("NAMES", "Detectors to run on the videos, each once.")] = ""
     clutter: Annotated[str, option("RATES", "False alarms to add, boxes per frame, as 0,5,10.")] = (
@@ -143,27 +143,78 @@ def compare(
     phdtrack itself. What --scene has taught holds for every filter. A run that fails is named in
     the table, the others go on, and the exit status is 1.
     """
-    ours = (out / DOCUMENT).is_file()
-    rundir.check(out, overwrite or ours, FILES)
+    folder = ResultFolder(out, DOCUMENT, FILES, overwrite)
     wanted = comparing.check_scores(listed(scores))
     made = options.plan(sequences)
-    directory = rundir.claim(out, True, FILES)
-    # Whatever ends this, the next one knows the folder for its own.
-    write_run(directory.file(DOCUMENT), {"complete": False})
+    directory = folder.claim()
+    names = ", ".join(method.name for method in made.methods)
+    begun = begun_run(f"Comparison of {names}", command_line(), made.seeds[0])
+    clock = time.perf_counter()
+    comparison = run_plan(made, folder, jobs, output, "comparing")
+    begun = replace(begun, seconds=time.perf_counter() - clock)
+    finish(output, comparison, wanted, directory, begun, in_turn=processes(jobs) == 1)
+    if comparison.failed:
+        raise typer.Exit(1)
+
+
+class ResultFolder:
+    """A folder for a comparison's runs, which the same command takes up again.
+
+    Parameters
+    ----------
+    path : the folder.
+    document : the file that tells that the folder is one of this command.
+    files : what it writes besides, with what each is.
+    overwrite : whether files of anything else may be replaced, and kept runs are run anew.
+
+    Raises
+    ------
+    InputError : the folder has files of something else.
+    """
+
+    def __init__(
+        self, path: Path, document: str, files: Mapping[str, str], overwrite: bool
+    ) -> None:
+        ours = (path / document).is_file()
+        rundir.check(path, overwrite or ours, files)
+        self.path = path
+        self.anew = overwrite
+        self._document = document
+        self._files = files
+
+    def claim(self) -> RunDirectory:
+        """The directory, from now on this command's."""
+        directory = rundir.claim(self.path, True, self._files)
+        # Whatever ends this, the next one knows the folder for its own.
+        write_run(directory.file(self._document), {"complete": False})
+        return directory
+
+
+def processes(jobs: int) -> int:
+    """How many processes ``jobs`` stand for; 0: one for each core.
+
+    Parameters
+    ----------
+    jobs : as the user says it.
+    """
+    return jobs or os.cpu_count() or 1
+
+
+def run_plan(made: Plan, folder: ResultFolder, jobs: int, output: Output, title: str) -> Comparison:
+    """Do what is missing of a plan, with a bar that shows how far it is.
+
+    Parameters
+    ----------
+    made, folder : the plan, and where its runs are kept.
+    jobs : processes at once; 0: one for each core.
+    output, title : shows the bar, under this title.
+    """
     # Once, before several processes would each compile them.
     info = made.cases[0].info
     for method in {method.settings.kind("filter"): method for method in made.methods}.values():
         Tracker(stages=build_classes(method.settings, info, moving=True), fps=info.fps).warm_up()
-    names = ", ".join(method.name for method in made.methods)
-    begun = begun_run(f"Comparison of {names}", command_line(), made.seeds[0])
-    clock = time.perf_counter()
-    processes = jobs or os.cpu_count() or 1
-    with output.progress("comparing", comparing.steps(made), PACE) as advance:
-        comparison = comparing.run(made, out, processes, anew=overwrite, advance=advance)
-    begun = replace(begun, seconds=time.perf_counter() - clock)
-    finish(output, comparison, wanted, directory, begun, in_turn=processes == 1)
-    if comparison.failed:
-        raise typer.Exit(1)
+    with output.progress(title, comparing.steps(made), PACE) as advance:
+        return comparing.run(made, folder.path, processes(jobs), anew=folder.anew, advance=advance)
 
 
 def listed(text: str) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -11,9 +10,9 @@ from typing import Annotated
 import typer
 
 from phdtrack import compare as comparing
-from phdtrack.cli.compare import listed
+from phdtrack.cli.compare import SETS, ResultFolder, listed, run_plan
 from phdtrack.cli.options import one_of, option
-from phdtrack.cli.output import PACE, Output
+from phdtrack.cli.output import Output
 from phdtrack.cli.show_settings import toml_value
 from phdtrack.cli.track import command_line
 from phdtrack.compare.plans import Plan
@@ -26,11 +25,9 @@ from phdtrack.compare.tuning import (
     check_truth,
     tuning,
 )
-from phdtrack.config import Settings, build_classes
+from phdtrack.config import Settings
 from phdtrack.files import write_text
 from phdtrack.report import write_run
-from phdtrack.run import directory as rundir
-from phdtrack.tracker import Tracker
 
 SETTINGS = "tuned.toml"
 DOCUMENT = "tune.json"
@@ -52,10 +49,7 @@ def tune(
     output: Output,
     detections: Annotated[
         str,
-        option(
-            "NAMES",
-            "Sets of the folders, or files with {} in place of the sequence. Default: all sets.",
-        ),
+        option("NAMES", SETS),
     ] = "",
     truth: Annotated[str, option("FILE", "Annotated objects; {} stands for the sequence.")] = "",
     score: Annotated[
@@ -84,8 +78,7 @@ def tune(
     Every run is kept: the same command again takes up what is there, after Ctrl-C too.
     """
     check_sequences(sequences)
-    ours = (out / DOCUMENT).is_file()
-    rundir.check(out, overwrite or ours, _FILES)
+    folder = ResultFolder(out, DOCUMENT, _FILES, overwrite)
     candidates = [f"{one.name}={one.sets}" for one in CANDIDATES]
     wanted = comparing.Request(
         sequences,
@@ -97,16 +90,8 @@ def tune(
     )
     plan = _with_default(comparing.plan(wanted))
     check_truth(plan)
-    directory = rundir.claim(out, True, _FILES)
-    # Whatever ends this, the next one knows the folder for its own.
-    write_run(directory.file(DOCUMENT), {"complete": False})
-    info = plan.cases[0].info
-    Tracker(stages=build_classes(plan.methods[0].settings, info), fps=info.fps).warm_up()
-    with output.progress("tuning", comparing.steps(plan), PACE) as advance:
-        comparison = comparing.run(
-            plan, out, jobs or os.cpu_count() or 1, anew=overwrite, advance=advance
-        )
-    found = tuning(comparison, score)
+    directory = folder.claim()
+    found = tuning(run_plan(plan, folder, jobs, output, "tuning"), score)
     settings = {method.name: method.settings for method in plan.methods}
     told = sentences(found)
     write_text(directory.file(SETTINGS), _as_file(settings[found.chosen], told))

@@ -45,6 +45,16 @@ class KnownPositions:
     def __len__(self) -> int:
         return len(self.frame)
 
+    def at(self, number: int) -> KnownPositions:
+        """The people of a frame.
+
+        Parameters
+        ----------
+        number : of the frame.
+        """
+        lo, hi = np.searchsorted(self.frame, [number, number + 1])
+        return KnownPositions(self.frame[lo:hi], self.identity[lo:hi], self.state[:, lo:hi])
+
 
 def read_positions(path: AnyPath) -> KnownPositions:
     """Read the positions of people.

@@ -16,12 +16,18 @@ from phdtrack.types import F8, I8, SequenceInfo, Tracks
 
 # Seconds over which a path is averaged before its length and speed are measured: boxes tremble.
 _SMOOTHED = 0.5
+# Seconds.
 MINUTE = 60.0
 HOUR = 3600.0
-"""Seconds of a row of `minutes`."""
 DAY = 24 * HOUR
-BAR_UNITS = {1.0: "second", 10.0: "10 seconds", MINUTE: "minute", HOUR: "hour"}
-BAR_UNITS |= {DAY: "day", 30 * DAY: "30 days"}
+BAR_UNITS = {
+    1.0: "second",
+    10.0: "10 seconds",
+    MINUTE: "minute",
+    HOUR: "hour",
+    DAY: "day",
+    30 * DAY: "30 days",
+}
 """The names of what a bar of a chart may stand for, by its seconds."""
 
 
