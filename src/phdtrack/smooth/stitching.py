@@ -3,8 +3,8 @@
 The evidence of one target that was lost and found again is compared with that of two targets. A
 target that is lost re-enters with probability ``reentry``, after a time of exponential distribution
 with mean ``occluded``. A trajectory that begins may be a new target: new ones appear at the rate at
-which trajectories begin after the first frame of this sequence, and in the states in which others
-do. The log-odds of a pair of trajectories, T apart, are
+which trajectories begin in this sequence, anywhere among its measurements. The log-odds of a pair
+of trajectories, T apart, are
 
     log p(B|A)/p(B) + log p_S(T) + log reentry/(1 − reentry) + log (1/occluded) e^(−T/occluded)
     − log births
@@ -16,13 +16,6 @@ show, a Gaussian over the rest, such as velocities),
     p(B|A)/p(B) = ∫ p(x|A) p(x|B)/π(x) dx
 
 where both densities are Gaussian: A's prediction from its end, and B's own smoothed beginning.
-Of K trajectories, N begin in D time units after the first frame. Births like the k-th, whose first
-state is x_k, are
-
-    N/D · (10/V + Σ_{j≠k} N(x_k; x_j, H)/π(x_k)) / (K + 9)
-
-with V the volume of the measurements, and H a kernel: the covariance of all states, reduced by
-Scott's rule, and that with which first states are known.
 
 A detector that fires twice on one target may begin its second track before the first has ended: T
 is then the time for which both overlap, and p_S = 1. Trajectories are joined so that the sum over
@@ -49,8 +42,6 @@ from phdtrack.types import F4, F8, I8, MeasurementHistory
 
 # Tracks whose beginnings are compared with all ends at a time.
 _BLOCK = 256
-# Beginnings of trajectories that the uniform share of their density counts for.
-_UNIFORM = 10.0
 
 
 class Stitching(NamedTuple):
@@ -136,8 +127,8 @@ def candidates(
     sequence : their measurements.
     settings : the parameters of stitching.
     """
-    lost = math.log(settings.occluded * (1 - settings.reentry) / settings.reentry)
-    new_target = lost + _log_births(paths, states, sequence)
+    births = _births(paths, sequence)
+    new_target = math.log(births * settings.occluded * (1 - settings.reentry) / settings.reentry)
     before = list[I8]()
     after = list[I8]()
     log_odds = list[F8]()
@@ -150,7 +141,7 @@ def candidates(
         after.append(pairs.after)
         if ends is not None:
             evidence = evidence + ends.likeness(pairs.before, pairs.after)
-        log_odds.append(evidence + (pairs.odds - new_target[pairs.after]))
+        log_odds.append(evidence + (pairs.odds - new_target))
     return np.concatenate(before), np.concatenate(after), np.concatenate(log_odds)
 
 
@@ -322,33 +313,13 @@ def _overlaps(paths: Paths, states: Smoothed, sequence: Sequence, settings: Stit
     return _Pairs(a, b, states.mean[here], states.covariance[here], row, odds)
 
 
-def _kept(sequence: Sequence) -> I8:
-    """The components of a state that carry evidence; those that a transition forgets, such as a
-    constant size, do not.
-    """
-    _, jacobian, _ = sequence.motion.transition(np.ascontiguousarray(sequence.state[:, :1]), 1.0)
-    return np.flatnonzero(jacobian[0].any(axis=0))
-
-
-def _log_prior(paths: Paths, states: Smoothed, sequence: Sequence) -> F8:
-    """(K,) the logarithm of the prior density at each path's beginning, flat over what measurements
-    show.
-    """
-    hidden = np.setdiff1d(_kept(sequence), sequence.observed)
-    column = paths.measurement[paths.first]
-    block = sequence.covariance[column][:, hidden[:, None], hidden]
-    apart = states.mean[paths.first][:, hidden] - sequence.state[hidden[:, None], column].T
-    square = apart[:, None] @ np.linalg.solve(block, apart[:, :, None])
-    constant = len(hidden) * math.log(2 * math.pi) + np.linalg.slogdet(block)[1]
-    out: F8 = -0.5 * (square[:, 0, 0] + constant)
-    return out
-
-
 def _log_evidence(paths: Paths, states: Smoothed, sequence: Sequence, pairs: _Pairs) -> F8:
     """(P,) log p(B|A)/p(B), with all Gaussians in information form; the prior is flat in observed
     rows.
     """
-    kept = _kept(sequence)
+    _, jacobian, _ = sequence.motion.transition(np.ascontiguousarray(sequence.state[:, :1]), 1.0)
+    # Components that a transition forgets, such as a constant size, carry no evidence.
+    kept = np.flatnonzero(jacobian[0].any(axis=0))
     unobserved = np.setdiff1d(kept, sequence.observed)
     at = np.searchsorted(kept, unobserved)
     column = paths.measurement[paths.first[pairs.after]]
@@ -379,47 +350,18 @@ def _log_evidence(paths: Paths, states: Smoothed, sequence: Sequence, pairs: _Pa
     return out
 
 
-def _log_births(paths: Paths, states: Smoothed, sequence: Sequence) -> F8:
-    """(K,) the logarithm of births like each path, per time unit and unit of measurement volume.
-
-    Parameters
-    ----------
-    paths, states : the trajectories, and the states of their rows.
-    sequence : their measurements.
+def _births(paths: Paths, sequence: Sequence) -> float:
+    """Trajectories that begin per time unit and unit of measurement volume, in the volume spanned
+    by all measurements.
     """
     time = sequence.measurements.time
-    kept = _kept(sequence)
-    observed = np.intersect1d(sequence.observed, kept)
+    observed = sequence.observed
     column = paths.measurement[paths.measurement >= 0]
     z = sequence.state[observed[:, None], column]
     noise = np.sqrt(np.median(sequence.covariance[column][:, observed, observed], axis=0))
     # If all measurements coincide, their noise determines the volume.
     volume = np.prod(z.max(axis=1) - z.min(axis=1) + 4 * noise)
-    count = len(paths)
-    uniform = math.log(_UNIFORM / volume)
-    prior = _log_prior(paths, states, sequence)
-    first = states.mean[paths.first][:, kept]
-    dim = len(kept)
-    # Scott's bandwidth.
-    spread = np.atleast_2d(np.cov(states.mean[:, kept].T)) * count ** (-2 / (dim + 4))
-    kernel = spread + states.covariance[paths.first][:, kept[:, None], kept].mean(axis=0)
-    root = np.linalg.cholesky(kernel)
-    scaled = np.linalg.solve(root, first.T).T
-    constant = 0.5 * dim * math.log(2 * math.pi) + np.log(root.diagonal()).sum()
-    out = np.empty(count)
-    # In blocks, as all pairs of thousands of tracks would take much memory.
-    for begin in range(0, count, _BLOCK):
-        here = np.arange(begin, min(begin + _BLOCK, count))
-        apart = np.square(scaled[here, None] - scaled).sum(axis=2)
-        log_density = -0.5 * apart - constant - prior[here, None]
-        log_density[here - begin, here] = uniform
-        most = log_density.max(axis=1)
-        out[here] = most + np.log(np.exp(log_density - most[:, None]).sum(axis=1))
-    # Those of the first frame were there before.
-    new = int((paths.frame[paths.first] > 0).sum())
-    rate = max(new, 1) / float(time[-1] - time[0])
-    out += math.log(rate / (_UNIFORM + count - 1))
-    return out
+    return float(len(paths) / (volume * (time[-1] - time[0])))
 
 
 def best_successors(before: I8, after: I8, odds: F8, count: int) -> I8:
