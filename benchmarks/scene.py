@@ -37,7 +37,7 @@ SLOW = ("mht", "mcmc")
 TARGETS = 15
 BIRTHS = 0.1
 ALARMS = 5.0
-LIMIT = 1.05
+LIMIT = 1.1
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,32 @@ def test_density_integrates_to_one_inside_the_volume():
     assert leaking()(np.array([[-0.1, 5.0], [3.0, 6.1], [0.0, 0.0]])).tolist() == [0, 0]
 
 
-def testmass_inside_agrees_with_sampling():
+@pytest.mark.parametrize("count", [0, 1, 7, 40])
+def test_every_gaussian_counts_that_the_last_digit_shows(count, rng):
+    """The density against a plain sum, also where most Gaussians are far away, and without the
+    uniform part 30 deviations away.
+    """
+    root = rng.normal(0, 1, (count, 3, 3))
+    covariance = root @ root.transpose(0, 2, 1) / 40 + 0.004 * np.eye(3)
+    mean = rng.uniform(LOW, HIGH, (count, 3)).T
+    weight = np.full(count, 1 / max(count, 1))
+    p = SceneDensity(LOW, HIGH, 0.3 if count else 1.0, weight, mean, covariance)
+    points = rng.uniform(LOW - 0.5, HIGH + 0.5, (300, 3)).T
+    step = points[:, None] - mean[:, :, None]
+    distance2 = np.einsum("akn,kab,bkn->kn", step, np.linalg.inv(covariance), step)
+    peak = p.gaussians.weight / np.sqrt(np.linalg.det(2 * np.pi * covariance))
+    inside = ((points >= LOW[:, None]) & (points <= HIGH[:, None])).all(axis=0)
+    plain = (peak[:, None] * np.exp(-distance2 / 2)).sum(axis=0)
+    assert 100 < inside.sum() < 300
+    wanted = np.where(inside, p.flat + plain, 5.0)
+    np.testing.assert_allclose(p(points, outside=5.0), wanted, 1e-12)
+    found = p.gaussian_part(points)
+    np.testing.assert_allclose(found, np.where(inside, plain, 0.0), rtol=1e-9, atol=1e-300)
+    if count == 1:
+        assert found[found > 0].min() < 1e-60 * p.flat
+
+
+def test_mass_inside_agrees_with_sampling():
     p = leaking()
     rng = np.random.default_rng(0)
     for m in range(2):
@@ -49,7 +74,7 @@ def testmass_inside_agrees_with_sampling():
         )
 
 
-def testmass_inside_is_exact_for_independent_components():
+def test_mass_inside_is_exact_for_independent_components():
     from scipy.stats import norm
 
     mean = np.array([[1.0], [2.0], [0.5]])

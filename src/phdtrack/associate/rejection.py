@@ -19,6 +19,7 @@ import numpy as np
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import Checked, NonNegative, PositiveCount
+from phdtrack.kernels.false_tracks import genuine_so_far
 from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.protocols import Associator, Model
 from phdtrack.types import (
@@ -127,9 +128,15 @@ class FalseTrackRejection(Checked, Generic[A]):
 
     def _judged(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Tracks]:
         """The rows, confirmed or not by their tracks' ratios, frame by frame."""
+        if len(rows) == 0:
+            return state, rows
+        frame = rows.frame
+        if frame[0] == frame[-1] and (frame == frame[0]).all():
+            state, confirmed = self._confirmed(state, rows)
+            return state, replace(rows, confirmed=confirmed)
         confirmed = rows.confirmed.copy()
-        for frame in np.unique(rows.frame):
-            here = np.flatnonzero(rows.frame == frame)
+        for number in np.unique(frame):
+            here = np.flatnonzero(frame == number)
             state, confirmed[here] = self._confirmed(state, rows.select(here))
         return state, replace(rows, confirmed=confirmed)
 
@@ -137,15 +144,13 @@ class FalseTrackRejection(Checked, Generic[A]):
         """The state with the rows of a frame, and which of them are confirmed. Confirmed tracks are
         not asked for again.
         """
-        known = np.isin(rows.identity, state.identity)
-        least = np.full((2, len(rows)), np.inf)
-        least[:, known] = state.least[:, np.searchsorted(state.identity, rows.identity[known])]
-        confirmed = self._sure(least, rows.confirmed)
+        least, confirmed = genuine_so_far(
+            state.identity, state.least, rows.identity, rows.confirmed, self._limit
+        )
         asked = np.flatnonzero(~confirmed & (rows.detection >= 0))
         if len(asked) == 0:
             return state, confirmed
         least[:, asked] = np.minimum(least[:, asked], self.ratio.log(to_cxcywh(rows.xyxy[asked])))
-        confirmed = self._sure(least, rows.confirmed)
         others = ~np.isin(state.identity, rows.identity[asked])
         identity = np.concatenate((state.identity[others], rows.identity[asked]))
         values = np.concatenate((state.least[:, others], least[:, asked]), axis=1)
@@ -155,17 +160,17 @@ class FalseTrackRejection(Checked, Generic[A]):
             : max(len(identity) - KEPT, 0)
         ]
         order = np.delete(order, spare)
-        return RejectionState(state.inner, identity[order], values[:, order]), confirmed
+        state = RejectionState(state.inner, identity[order], values.take(order, axis=1))
+        _, confirmed = genuine_so_far(
+            state.identity, state.least, rows.identity, rows.confirmed, self._limit
+        )
+        return state, confirmed
 
-    def _sure(self, least: F8, confirmed: Bool) -> Bool:
-        """(n,) rows that the associator has ``confirmed`` and whose track is not false, or that are
-        confirmed at once.
-        """
-        if self.immediate_confirmation > 0:
-            limit = math.log(self.immediate_confirmation)
-        else:
-            limit = -math.inf
-        return np.asarray((confirmed & (least[0] < 0)) | (least[1] < limit))
+    @property
+    def _limit(self) -> float:
+        """The logarithm of `immediate_confirmation`."""
+        share = self.immediate_confirmation
+        return math.log(share) if share > 0 else -math.inf
 
 
 def without_false_tracks(

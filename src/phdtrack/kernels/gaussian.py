@@ -133,6 +133,8 @@ def records(floats: str, integers: str) -> np.dtype[np.void]:
 PAIR = records("distance2 first log_density weight", "gaussian measurement")
 # The ``tails`` of `gated` if all noises are the model's.
 GAUSSIAN = np.zeros((0, 3))
+# `Measurements.period` of boxes: none of the four components is an angle.
+FOUR_LENGTHS = (0.0, 0.0, 0.0, 0.0)
 # A measurement in `by_position`: its components along and across, and its number.
 SPOT = records("along across", "measurement")
 
@@ -593,3 +595,68 @@ def first_states(
         if own[j] > 0.0:
             _add_covariance(own[j] / density[j], around.mean, around.covariance, j, mean, cov, j)
     return NewTargets(density, mean, cov)
+
+
+@njit(**ENTRY)
+def learned_births(
+    measured: tuple[F8, F8],
+    weight: F8,
+    learned: Expected,
+    gate: float,
+    volume: tuple[F8, F8, float],
+    rate: F8,
+    least: float,
+) -> NewTargets:
+    """Births at detections from a density of states, with what it says of the components that are
+    not observed.
+
+    The density is ``volume``, the bounds of the observed components and a flat density between
+    them, and Gaussians. Its evidence at each detection, not less than ``least``, is multiplied by
+    ``rate`` (N,).
+
+    ``measured``: states (d, N) and covariances (N, d, d) that the detections alone imply.
+    ``weight``, ``learned``, ``gate``: the weights of the Gaussians, their predicted measurements,
+    and the distance beyond which none counts.
+    """
+    state, noise = measured
+    low, high, flat = volume
+    rows = learned[0]
+    d, n = state.shape
+    z = np.empty((n, rows.size))
+    spread = np.empty((n, rows.size, rows.size))
+    mean = np.empty((n, d))
+    covariance = noise.copy()
+    hidden = np.ones(d, np.bool_)
+    for a in range(rows.size):
+        hidden[rows[a]] = False
+    for j in range(n):
+        for c in range(d):
+            mean[j, c] = state[c, j]
+        for a in range(rows.size):
+            z[j, a] = state[rows[a], j]
+            for b in range(rows.size):
+                spread[j, a, b] = noise[j, rows[a], rows[b]]
+    expected = Expected(rows, learned[1], learned[2], learned[3], learned[4], learned[5])
+    # The Gaussians' means and covariances are their predicted measurements, in all components.
+    births = Births(
+        NewTargets(np.full(n, flat), mean, noise), weight, expected.z, expected.covariance
+    )
+    nothing = np.zeros(n)
+    found = first_states(
+        births, nothing + 1.0, expected, Measurements(z, spread, nothing, FOUR_LENGTHS), gate
+    )
+    density = np.empty(n)
+    mean = mean.copy()
+    for j in range(n):
+        inside = True
+        for a in range(rows.size):
+            inside &= low[a] <= z[j, a] <= high[a]
+        density[j] = rate[j] * max(found.density[j] if inside else 0.0, least)
+        for c in range(d):
+            # Observed components stay those of the detection.
+            if hidden[c]:
+                mean[j, c] = found.mean[j, c]
+                for b in range(d):
+                    if hidden[b]:
+                        covariance[j, c, b] = found.covariance[j, c, b]
+    return NewTargets(density, mean, covariance)

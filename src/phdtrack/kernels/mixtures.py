@@ -1,9 +1,9 @@
 """Gaussian mixtures: densities, expectation-maximisation [M09 §III-B], and its recursive form [M09
 (16)-(20)].
 
-`log_densities` evaluates Gaussians that were `whitened` once. `em_step` gives the mass, mean and
-covariance of each component's samples, from which the caller makes the next mixture. `recursive_em`
-takes one sample at a time.
+`log_densities` and `densities_inside` evaluate Gaussians that were `whitened` once. `em_step` gives
+the mass, mean and covariance of each component's samples, from which the caller makes the next
+mixture. `recursive_em` takes one sample at a time.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ CHUNK = 128
 # another one at the same place.
 NOTHING = -1e30
 LEAST = -60.0
+# A term that is so many nats (54 log 2) below a sum does not change its last digit.
+ROUNDED = 37.5
 # A component of less mass than this has no samples: its square must not vanish.
 NO_MASS = 1e-100
 # A sample with a smaller share moves a component by no more than rounding.
@@ -119,6 +121,67 @@ def log_densities(x: F8, gaussians: Whitened) -> F8:
         for j in range(log_peak.size):
             steps_from(x, begin, size, mean, j, step)
             log_density_of(step, size, inverse[j], log_peak[j], part, out[j, begin:])
+    return out
+
+
+class Volume(NamedTuple):
+    """The volume of a density: its bounds ``low`` and ``high`` (d,), the density ``flat`` that is
+    added inside, and the density ``outside``."""
+
+    low: F8
+    high: F8
+    flat: float
+    outside: float
+
+
+@njit(**VECTOR)
+def _log_densities_at(
+    x: F8, i: int, mean: F8, inverse: F8, log_peak: F8, step: F8, out: F8
+) -> None:
+    """Write log(weight · N) of k Gaussians at point i into ``out`` (k,); see `densities_inside`.
+    ``step`` (d + 1, k) is scratch.
+    """
+    d, k = mean.shape
+    part = step[d]
+    for j in range(k):
+        out[j] = log_peak[j]
+    for r in range(d):
+        for j in range(k):
+            step[r, j] = x[r, i] - mean[r, j]
+            part[j] = inverse[r, r, j] * step[r, j]
+        for s in range(r):
+            for j in range(k):
+                part[j] += inverse[r, s, j] * step[s, j]
+        for j in range(k):
+            out[j] -= 0.5 * part[j] * part[j]
+
+
+@njit(**ENTRY)
+def densities_inside(x: F8, gaussians: Whitened, volume: Volume) -> F8:
+    """(n,) the volume's flat density plus those of the Gaussians at points ``x`` (d, n).
+
+    For a few points and many Gaussians: ``gaussians`` are `Whitened`, with L⁻¹ as (d, d, k). Those
+    that do not change the last digit of the flat density are not added.
+    """
+    d, n = x.shape
+    mean, inverse, log_peak = gaussians
+    low, high, flat, outside = volume
+    least = math.log(flat) - ROUNDED if flat > 0.0 else -np.inf
+    step = np.empty((d + 1, log_peak.size))
+    each = np.empty(log_peak.size)
+    out = np.full(n, outside)
+    for i in range(n):
+        inside = True
+        for r in range(d):
+            inside &= low[r] <= x[r, i] <= high[r]
+        if not inside:
+            continue
+        _log_densities_at(x, i, mean, inverse, log_peak, step, each)
+        total = flat
+        for value in each:
+            if value > least:
+                total += math.exp(value)
+        out[i] = total
     return out
 
 

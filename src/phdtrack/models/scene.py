@@ -33,10 +33,10 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, NonNegative, PositiveCount
-from phdtrack.kernels.gaussian import Births, Expected, Measurements, NewTargets, first_states
+from phdtrack.kernels.gaussian import Births, Expected, learned_births
 from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about
 from phdtrack.models.clutter import BoxClutter
-from phdtrack.models.volumes import local_volume
+from phdtrack.models.volumes import local_density
 from phdtrack.protocols import Birth, Clutter, Model, Sensor
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, shown_volume
 from phdtrack.scene.mixture import OBSERVED
@@ -73,7 +73,8 @@ class SceneBirth(Checked):
         """Particles around the detections with the evidence and the velocities of γT there [M07 §2,
         M09 (12)].
         """
-        density, states = self.around(sensor.states(z), seconds)
+        density, (mean, covariance) = self.around(sensor.states(z), seconds)
+        states = (np.ascontiguousarray(mean), covariance)
         return particles_about(covered, states, OBSERVED, self.particles, density, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
@@ -108,31 +109,22 @@ class SceneBirth(Checked):
         state, noise = measured
         shown = self._shown
         weight, predicted, gate = self._learned
-        rows = np.array(OBSERVED)
-        n = state.shape[1]
-        z = np.ascontiguousarray(state[rows])
-        nothing = np.zeros(n)
-        flat = NewTargets(
-            np.full(n, shown.flat), np.ascontiguousarray(state.T), np.ascontiguousarray(noise)
+        if self.births_per_detection:
+            z = state[np.array(OBSERVED)]
+            objects: F8 | float = 1 / shown.volume
+            if self.among is not None:
+                objects = self.among(z, outside=self.among.flat)
+            rate = local_density(z, self.births_per_detection * seconds) / objects
+            least = shown.flat
+        else:
+            rate = np.full(state.shape[1], self.births_per_second * seconds)
+            least = 0.0
+        volume = (shown.low, shown.high, shown.flat)
+        seen = (np.ascontiguousarray(state), np.ascontiguousarray(noise))
+        density, mean, covariance = learned_births(
+            seen, weight, tuple(predicted), gate, volume, rate, least
         )
-        measurements = Measurements(
-            np.ascontiguousarray(z.T), noise[:, rows[:, None], rows], nothing, (0.0,) * len(rows)
-        )
-        births = Births(flat, weight, predicted.z, predicted.covariance)
-        newborn = first_states(births, nothing + 1.0, predicted, measurements, gate)
-        density = np.where(shown.contains(z), newborn.density, 0.0)
-        # Observed components stay those of the detection.
-        hidden = np.setdiff1d(np.arange(len(state)), rows)
-        mean = state.copy()
-        covariance = noise.copy()
-        mean[hidden] = newborn.mean.T[hidden]
-        block = (slice(None), hidden[:, None], hidden)
-        covariance[block] = newborn.covariance[block]
-        if not self.births_per_detection:
-            return self.births_per_second * seconds * density, (mean, covariance)
-        objects = 1 / shown.volume if self.among is None else self.among(z, outside=self.among.flat)
-        local = self.births_per_detection * seconds / local_volume(z)
-        return local * np.maximum(density, shown.flat) / objects, (mean, covariance)
+        return density, (mean.T, covariance)
 
     @cached_property
     def _shown(self) -> SceneDensity:
@@ -181,7 +173,7 @@ class SceneClutter(Checked):
             z[: self.density.dim], outside=self.density.flat
         )
         if self.clutter_per_detection:
-            return learned + self.clutter_per_detection / local_volume(z)
+            return learned + local_density(z, self.clutter_per_detection)
         return learned
 
 

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.mixtures import Gaussians, Whitened, log_densities, whitened
+from phdtrack.kernels.mixtures import Gaussians, densities_inside, log_densities, whitened
 from phdtrack.types import F8, Bool
 
 # A Gaussian with less mass inside the volume counts as outside.
@@ -101,10 +101,17 @@ class SceneDensity:
         )
 
     @cached_property
-    def _whitened(self) -> Whitened:
-        """The Gaussians, prepared for evaluation."""
-        out: Whitened = whitened(self.gaussians)
-        return out
+    def _whitened(self) -> tuple[F8, F8, F8]:
+        """The Gaussians, prepared for evaluation, as a plain tuple: Numba would look up the class
+        of a named one at every call.
+        """
+        return tuple(whitened(self.gaussians))
+
+    @cached_property
+    def _side_by_side(self) -> tuple[F8, F8, F8]:
+        """The Gaussians, prepared as `densities_inside` takes them."""
+        mean, inverse, log_peak = self._whitened
+        return mean, np.ascontiguousarray(np.moveaxis(inverse, 0, 2)), log_peak
 
     def log_parts(self, x: F8) -> F8:
         """(1 + M, L) logarithms of the uniform part and of each Gaussian at ``x`` (d, L), also
@@ -145,8 +152,9 @@ class SceneDensity:
 
     def _summed(self, x: F8, flat: float, outside: float) -> F8:
         """(L,) ``flat`` plus the Gaussians in the volume, and ``outside`` elsewhere."""
-        each = log_densities(np.ascontiguousarray(x), self._whitened)
-        return np.where(self.contains(x), flat + np.exp(each, out=each).sum(axis=0), outside)
+        volume = (self.low, self.high, flat, outside)
+        density: F8 = densities_inside(np.ascontiguousarray(x), self._side_by_side, volume)
+        return density
 
 
 def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
