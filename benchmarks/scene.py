@@ -24,10 +24,10 @@ from benchmarks.workload import Crowd, Stream, draw
 from experiments.common import with_scene
 from phdtrack import config, pipeline
 from phdtrack.associate.rejection import FalseTrackRejection
+from phdtrack.kernels.box import OBSERVED
 from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.protocols import AnyStages
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, grid, marginal
-from phdtrack.scene.mixture import OBSERVED
 from phdtrack.scene.training import state_volume
 from phdtrack.types import F8
 

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from phdtrack.kernels.box import OBSERVED
 from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
-from phdtrack.scene.mixture import OBSERVED, marginal
+from phdtrack.scene.mixture import marginal
 
 LOW = np.zeros(4)
 HIGH = np.array([640.0, 480, 640, 480])

@@ -108,6 +108,8 @@ from phdtrack.kernels.pmb_past import (
     earlier,
     first_earlier,
     looks_of_targets,
+    of_targets,
+    present_targets,
     reported_boxes,
     scaled,
 )
@@ -721,23 +723,12 @@ class BestBernoullis(Checked):
                 tuple(layer), trace, self.min_weight, self.merge_iou
             )
             return Estimates(state, covariance, weight, boxes, detection, label, past)
-        target = np.flatnonzero((trace["place"] >= 0) & (trace["presence"] >= self.min_weight))
-        at = trace["place"][target]
-        mean = np.ascontiguousarray(layer.mean[at].T)
-        boxes = model.sensor.boxes(mean)
+        target = present_targets(trace, self.min_weight)
+        boxes = model.sensor.boxes(np.ascontiguousarray(layer.mean[trace["place"][target]].T))
         # Labels rise with the frame in which a target began.
         left = without_overlaps(boxes, self.merge_iou)
-        if len(left) < len(at):
-            target = target[left]
-            at = at[left]
-            boxes = boxes[left]
-            mean = np.ascontiguousarray(mean[:, left])
-        weight = trace["presence"][target]
-        label = layer.targets["label"][target]
-        covariance = scaled(layer.covariance, layer.hypotheses, at)
-        return Estimates(
-            mean, covariance, weight, boxes, layer.hypotheses["detection"][at], label, past
-        )
+        mean, covariance, weight, detection, label = of_targets(tuple(layer), trace, target[left])
+        return Estimates(mean, covariance, weight, boxes[left], detection, label, past)
 
 
 def _with_pasts(now: Layer, pasts: Pasts, looks: Looks | None) -> tuple[Layer, Pasts, Looks]:

@@ -568,10 +568,9 @@ def box_deviations(x: F8, noise: Noise, speed: float) -> F8:
 
 # States warped by a homography: the formulas stand in `models.warp`.
 @njit(**ENTRY)
-def warped_states(x: F8, warp: F8, areas: float) -> F8:
-    """(d, n) states after the homography (3, 3) with determinant ``areas``; rows behind the
-    velocities are lengths.
-    """
+def warped_states(x: F8, warp: F8) -> F8:
+    """(d, n) states after the homography (3, 3); rows behind the velocities are lengths."""
+    areas = _determinant(warp)
     out = np.empty(x.shape)
     for i in range(x.shape[1]):
         px, py, depth, a, b, c, d = _local(warp, x[0, i], x[1, i])
@@ -586,9 +585,10 @@ def warped_states(x: F8, warp: F8, areas: float) -> F8:
 
 
 @njit(**ENTRY)
-def warped_slopes(x: F8, warp: F8, areas: float) -> F8:
+def warped_slopes(x: F8, warp: F8) -> F8:
     """(n, d, d) the Jacobians of `warped_states`."""
     rows, n = x.shape
+    areas = _determinant(warp)
     out = np.empty((n, rows, rows))
     for i in range(n):
         for a in range(rows):
@@ -620,6 +620,16 @@ def warped_slopes(x: F8, warp: F8, areas: float) -> F8:
             out[i, row, 0] = tilt * g
             out[i, row, 1] = tilt * h
     return out
+
+
+@njit(**INNER)
+def _determinant(m: F8) -> float:
+    """The determinant of a matrix (3, 3)."""
+    first = m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1])
+    second = m[0, 1] * (m[1, 0] * m[2, 2] - m[1, 2] * m[2, 0])
+    third = m[0, 2] * (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0])
+    determinant: float = first - second + third
+    return determinant
 
 
 @njit(**INNER)

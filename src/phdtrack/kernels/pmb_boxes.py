@@ -10,15 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F8, I8
-from phdtrack.kernels.box import Noise, box_covariances, box_deviations, predicted_boxes
+from phdtrack.kernels.box import (
+    OBSERVED,
+    Noise,
+    box_covariances,
+    box_deviations,
+    predicted_boxes,
+)
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.filled import floats
 from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets
 from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import Layer, Scores, Settings, predicted_layer, updated_layer
-
-_OBSERVED = (0, 1, 4, 5)
 
 
 class BoxWorld(NamedTuple):
@@ -120,7 +124,7 @@ def stepped_boxes(
         own = box_covariances(columns[4:6], noise)
     rows = np.empty(4, np.int64)
     for a in range(4):
-        rows[a] = _OBSERVED[a]
+        rows[a] = OBSERVED[a]
     expected = Expected(
         rows, ahead.mean, ahead.covariance, ahead.covariance, own, floats(many, p_detect)
     )

@@ -113,6 +113,44 @@ def first_earlier(
     return present, now, before, same
 
 
+@njit(**MERGED)
+def present_targets(trace: Records, min_weight: float) -> I8:
+    """(n,) the targets of a `TRACE` whose presence is ``min_weight`` or more."""
+    target = np.empty(trace.size, np.int64)
+    n = 0 * trace.size
+    for t in range(trace.size):
+        if trace[t].place >= 0 and trace[t].presence >= min_weight:
+            target[n] = t
+            n += 1
+    return target[:n]
+
+
+@njit(**MERGED)
+def of_targets(
+    layer: tuple[Records, Records, F8, F8], trace: Records, target: I8
+) -> tuple[F8, F8, F8, I8, I8]:
+    """States of some targets (n,) of a frame: means (d, n), covariances (n, d, d) with the noises
+    of each, presences (n,), measurements (n,) and labels (n,).
+    """
+    targets, hypotheses, mean, covariance = layer
+    d = mean.shape[1]
+    n = target.size
+    at = np.empty(n, np.int64)
+    out = np.empty((d, n))
+    weight = np.empty(n)
+    detection = np.empty(n, np.int64)
+    label = np.empty(n, np.int64)
+    for k in range(n):
+        t = target[k]
+        at[k] = trace[t].place
+        weight[k] = trace[t].presence
+        label[k] = targets[t].label
+        detection[k] = hypotheses[at[k]].detection
+        for a in range(d):
+            out[a, k] = mean[at[k], a]
+    return out, scaled(covariance, hypotheses, at), weight, detection, label
+
+
 @njit(**INNER)
 def _boxes_of(trace: Records, target: I8, mean: F8) -> tuple[F8, I8]:
     """(n, 4) the boxes of some targets, and (n,) their order by left sides."""
@@ -137,44 +175,26 @@ def _boxes_of(trace: Records, target: I8, mean: F8) -> tuple[F8, I8]:
 def reported_boxes(
     layer: tuple[Records, Records, F8, F8], trace: Records, min_weight: float, overlap: float
 ) -> tuple[F8, F8, F8, F8, I8, I8]:
-    """The boxes that are reported of a frame: means (d, n), covariances (n, d, d) with the noises
-    of each, weights (n,), boxes (n, 4), measurements (n,) and labels (n,).
+    """The boxes that are reported of a frame, in one call: means, covariances, presences, boxes (n,
+    4), measurements and labels, as of `of_targets`.
 
-    ``trace``: the hypothesis of each target, and its presence. Targets of less presence than
-    ``min_weight`` are left out, and those that overlap one before them by more than ``overlap``
-    (IoU); 1: none is.
+    Targets of less presence than ``min_weight`` are left out, and those that overlap one before
+    them by more than ``overlap`` (IoU); 1: none is.
     """
-    targets, hypotheses, mean, covariance = layer
-    d = mean.shape[1]
-    target = np.empty(trace.size, np.int64)
-    n = 0 * trace.size
-    for t in range(trace.size):
-        if trace[t].place >= 0 and trace[t].presence >= min_weight:
-            target[n] = t
-            n += 1
-    boxes, order = _boxes_of(trace, target[:n], mean)
-    if overlap < 1.0 and n > 1:
+    target = present_targets(trace, min_weight)
+    boxes, order = _boxes_of(trace, target, layer[2])
+    if overlap < 1.0 and target.size > 1:
         left = apart(boxes, order, overlap)
-        if left.size < n:
-            n = left.size
+        n = left.size
+        if n < target.size:
             for k in range(n):
                 target[k] = target[left[k]]
                 for a in range(4):
                     boxes[k, a] = boxes[left[k], a]
-    at = np.empty(n, np.int64)
-    out = np.empty((d, n))
-    weight = np.empty(n)
-    detection = np.empty(n, np.int64)
-    label = np.empty(n, np.int64)
-    for k in range(n):
-        t = target[k]
-        at[k] = trace[t].place
-        weight[k] = trace[t].presence
-        label[k] = targets[t].label
-        detection[k] = hypotheses[at[k]].detection
-        for a in range(d):
-            out[a, k] = mean[at[k], a]
-    return out, scaled(covariance, hypotheses, at), weight, boxes[:n].copy(), detection, label
+            target = target[:n]
+            boxes = boxes[:n]
+    mean, covariance, weight, detection, label = of_targets(layer, trace, target)
+    return mean, covariance, weight, boxes.copy(), detection, label
 
 
 @njit(**MERGED)

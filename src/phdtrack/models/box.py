@@ -46,6 +46,7 @@ from phdtrack.kernels.box import (
     DETECTION,
     FIXED,
     GIVEN,
+    OBSERVED,
     PARTICLE,
     BoxDynamics,
     Noise,
@@ -61,8 +62,6 @@ from phdtrack.types import F8, Detections
 
 _SCALINGS = {"particle": PARTICLE, "detection": DETECTION, "fixed": FIXED, "given": GIVEN}
 Scaling = Literal["particle", "detection", "fixed", "given"]
-# Rows of the state that a measurement shows, in the order of its components.
-OBSERVED = (0, 1, 4, 5)
 # Smallest variance of the linear-Gaussian view, pixels².
 TINY = 1e-12
 

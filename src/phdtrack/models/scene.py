@@ -33,13 +33,13 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, NonNegative, PositiveCount
+from phdtrack.kernels.box import OBSERVED
 from phdtrack.kernels.gaussian import Births, Expected, learned_births
 from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about
 from phdtrack.models.clutter import BoxClutter
 from phdtrack.models.volumes import local_density
 from phdtrack.protocols import Birth, Clutter, Model, Sensor
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, shown_volume
-from phdtrack.scene.mixture import OBSERVED
 from phdtrack.types import F8, GaussianMixture, Particles
 
 TINY = float(np.finfo(np.float64).tiny)

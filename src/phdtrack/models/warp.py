@@ -64,22 +64,16 @@ def as_warp(matrix: Matrix, where: str) -> F8:
 
 def warp_states(x: F8, warp: F8) -> F8:
     """(d, n) states ``x`` after ``warp``; rows behind (px, py, vx, vy) are lengths."""
-    return np.asarray(
-        warped_states(
-            np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp)
-        )
-    )
+    moved: F8 = warped_states(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp))
+    return moved
 
 
 def warp_jacobian(x: F8, warp: F8) -> F8:
     """(n, d, d) Jacobians of `warp_states`: J for positions and velocities, and the derivatives of
     J and of the scale by the position.
     """
-    return np.asarray(
-        warped_slopes(
-            np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp)
-        )
-    )
+    slopes: F8 = warped_slopes(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp))
+    return slopes
 
 
 def back(warp: F8) -> F8:

@@ -16,13 +16,12 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.kernels.box import OBSERVED
 from phdtrack.kernels.mixtures import Gaussians, densities_inside, log_densities, whitened
 from phdtrack.types import F8, Bool
 
 # A Gaussian with less mass inside the volume counts as outside.
 MIN_TRUNCATED_MASS = 1e-6
-# Components of a box state that are measured: all except the two velocities.
-OBSERVED = (0, 1, 4, 5)
 # Richtmyer's lattice: multiples of the square roots of primes, folded.
 _LATTICE = np.sqrt(np.array([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0]))
 _POINTS = 512

@@ -33,7 +33,7 @@ _PRIOR = (PRIOR, PRIOR_WEIGHT, MOST)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class ShownFrame:
     """The rows of a frame that rest on detections: ``identity`` (n,), boxes ``seen`` and
     ``filtered`` (n, 4); seconds.
     """
@@ -58,7 +58,7 @@ class ShareState:
     """
 
     waiting: tuple[tuple[int, float, I8, F8], ...] = ()
-    last: tuple[Shown, Shown] = (Shown(), Shown())
+    last: tuple[ShownFrame, ShownFrame] = (ShownFrame(), ShownFrame())
     sums: F8 = field(default_factory=lambda: np.zeros((2, 4)))
 
     @property
@@ -120,6 +120,6 @@ class DetectionShare:
                 _PRIOR,
             )
             if len(shown[0]):
-                last = (second, Shown(time, *shown))
+                last = (second, ShownFrame(time, *shown))
         waiting = tuple(frame for frame in state.waiting if frame[0] > until)
         return ShareState(waiting, last, sums), tracks.with_boxes(xyxy)
