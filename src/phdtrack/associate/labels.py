@@ -47,7 +47,7 @@ from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCou
 from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.coasting import STEPS, Followed
 from phdtrack.kernels.label_table import (
-    coasting,
+    coasting_rows,
     counted,
     followed_after,
     kept_labels,
@@ -373,7 +373,7 @@ class Labelled(Checked):
         here = state.seen_until(due)
         known = tuple(present)
         if self.bridge_gaps:
-            coasts, unseen = coasting(
+            coasts, unseen = coasting_rows(
                 known,
                 e.tag,
                 e.detection,

@@ -32,9 +32,9 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.filled import flags, floats, zeros
 from phdtrack.kernels.gaussian import records
 from phdtrack.kernels.grid import sorted_by_cell
+from phdtrack.kernels.small_arrays import flags, floats, zeros
 
 # A column without a row, and one that no row may take any more.
 UNUSED = -1

@@ -12,9 +12,9 @@ import numpy as np
 from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
-from phdtrack.kernels.filled import floats, minus_ones
 from phdtrack.kernels.gaussian import Predicted, copy_gaussian
 from phdtrack.kernels.grid import sorted_along, within
+from phdtrack.kernels.small_arrays import floats, minus_ones
 
 Noise = tuple[int, float, float, float, float]
 # Rows of the state that a measurement shows.

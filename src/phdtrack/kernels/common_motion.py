@@ -24,8 +24,8 @@ from phdtrack.kernels import F8, I8
 from phdtrack.kernels.box import Noise, box_covariances, predicted_boxes
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
-from phdtrack.kernels.filled import floats
 from phdtrack.kernels.grid import sorted_along, within
+from phdtrack.kernels.small_arrays import floats
 
 # Degrees of freedom of the errors of boxes, and of a camera's motion.
 FREEDOM = 4.0

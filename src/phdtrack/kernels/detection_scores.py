@@ -13,7 +13,7 @@ from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.box import following
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
-from phdtrack.kernels.filled import flags, floats
+from phdtrack.kernels.small_arrays import flags, floats
 
 
 class Line(NamedTuple):

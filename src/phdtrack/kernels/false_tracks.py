@@ -7,6 +7,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY
+from phdtrack.kernels.small_arrays import first_not_below
 
 
 @njit(**ENTRY)
@@ -23,7 +24,7 @@ def genuine_so_far(
     found = np.full((2, n), np.inf)
     genuine = np.empty(n, np.bool_)
     for i in range(n):
-        at = np.searchsorted(known, identity[i])
+        at = first_not_below(known, identity[i])
         if at < known.size and known[at] == identity[i]:
             found[0, i] = least[0, at]
             found[1, i] = least[1, at]

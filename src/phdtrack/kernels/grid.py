@@ -14,7 +14,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.filled import flags, zeros
+from phdtrack.kernels.small_arrays import flags, zeros
 
 
 class Grid(NamedTuple):

@@ -15,8 +15,8 @@ import numpy as np
 from phdtrack.kernels import F8, Bool, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import INNER
-from phdtrack.kernels.filled import flags, floats
 from phdtrack.kernels.gaussian import Expected, copy_gaussian
+from phdtrack.kernels.small_arrays import flags, floats
 
 # Squared deviations within which a measurement is near a target: 99 % of four components.
 NEAR = 13.3

@@ -11,22 +11,9 @@ from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.coasting import Followed, Reported, after_frame, is_returning
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.small_arrays import first_not_below
 
 Table = tuple[I8, I8, I8, F8, Bool]
-
-
-@njit(**INNER)
-def _place(label: I8, value: int) -> int:
-    """The first place in ascending labels whose label is not below a value."""
-    low = 0 * label.size
-    high = label.size
-    while low < high:
-        middle = (low + high) // 2
-        if label[middle] < value:
-            low = middle + 1
-        else:
-            high = middle
-    return low
 
 
 @njit(**INNER)
@@ -35,10 +22,10 @@ def _new_labels(label: I8, tag: I8) -> I8:
     new = np.empty(tag.size, np.int64)
     count = 0 * tag.size
     for k in range(tag.size):
-        place = _place(label, tag[k])
+        place = first_not_below(label, tag[k])
         if place < label.size and label[place] == tag[k]:
             continue
-        at = _place(new[:count], tag[k])
+        at = first_not_below(new[:count], tag[k])
         if at < count and new[at] == tag[k]:
             continue
         for q in range(count, at, -1):
@@ -112,7 +99,7 @@ def _count(
     """Count the states of moment m that rest on detections."""
     for k in range(start[m], start[m + 1]):
         if detection[k] >= 0:
-            place = _place(label, tag[k])
+            place = first_not_below(label, tag[k])
             states[place] += 1
             last[place] = time[m]
 
@@ -139,7 +126,7 @@ def followed_after(
     when = np.empty(n)
     sure = np.empty(n, np.bool_)
     for k in range(n):
-        place = _place(label, tag[k])
+        place = first_not_below(label, tag[k])
         when[k] = last[place] / rate
         sure[k] = confirmed[place] or states[place] >= least
         # Mostly in order already.
@@ -154,7 +141,7 @@ def followed_after(
 
 
 @njit(**ENTRY)
-def coasting(
+def coasting_rows(
     present: Table,
     tag: I8,
     detection: I8,
@@ -184,7 +171,7 @@ def coasting(
     unseen = np.empty(tag.size, np.int64)
     count = 0 * tag.size
     for k in range(tag.size):
-        place = _place(label, tag[k])
+        place = first_not_below(label, tag[k])
         coasts = here - last[place] <= longest
         if by_evidence:
             age = (newest - last[place]) / rate
@@ -230,13 +217,13 @@ def shown_rows(
     for k in range(tag.size):
         if not (detection[k] >= 0 or coasts[k]):
             continue
-        place = _place(label, tag[k])
+        place = first_not_below(label, tag[k])
         if identity[place] == 0:
             used += 1
             identity[place] = used
         sure[place] = confirmed[place] or counts[place] >= least
         q = n
-        while q > 0 and identity[_place(label, tag[order[q - 1]])] > identity[place]:
+        while q > 0 and identity[first_not_below(label, tag[order[q - 1]])] > identity[place]:
             order[q] = order[q - 1]
             q -= 1
         order[q] = k
@@ -251,7 +238,7 @@ def shown_rows(
     )
     for r in range(n):
         k = order[r]
-        place = _place(label, tag[k])
+        place = first_not_below(label, tag[k])
         out[0][r] = number
         out[1][r] = identity[place]
         for c in range(4):
@@ -269,7 +256,7 @@ def kept_labels(label: I8, last: F8, since: float, tag: I8) -> Bool:
     for place in range(label.size):
         kept[place] = last[place] >= since
     for k in range(tag.size):
-        place = _place(label, tag[k])
+        place = first_not_below(label, tag[k])
         if place < label.size and label[place] == tag[k]:
             kept[place] = True
     return kept

@@ -39,7 +39,6 @@ from phdtrack.kernels.appearance import (
 from phdtrack.kernels.association import EDGE, beliefs
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import INNER, MERGED
-from phdtrack.kernels.filled import flags, minus_ones
 from phdtrack.kernels.gaussian import (
     PAIR,
     Expected,
@@ -52,6 +51,7 @@ from phdtrack.kernels.gaussian import (
     write_posteriors,
 )
 from phdtrack.kernels.jumps import Jumps, jumping, merged_pairs, of_jumped, with_jumps
+from phdtrack.kernels.small_arrays import flags, minus_ones
 from phdtrack.kernels.verdicts import DOUBTFUL, write_verdicts
 
 TINY = float(np.finfo(np.float64).tiny)

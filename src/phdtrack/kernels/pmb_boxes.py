@@ -19,10 +19,10 @@ from phdtrack.kernels.box import (
 )
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.filled import floats
 from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets
 from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import Layer, Scores, Settings, predicted_layer, updated_layer
+from phdtrack.kernels.small_arrays import floats
 
 
 class BoxWorld(NamedTuple):

@@ -10,7 +10,7 @@ from phdtrack.kernels import F8, I8, Records
 from phdtrack.kernels.association import EDGE
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.filled import floats
+from phdtrack.kernels.small_arrays import floats
 
 # Verdicts on a target's measurement: it has none, or there is doubt. The odds of a pair that leave
 # none.

@@ -1,7 +1,8 @@
-"""Arrays of one value, for kernels.
+"""Arrays of one value, and a place in an ordered array, for kernels.
 
-Numba compiles `numpy.zeros`, `numpy.ones` and `numpy.full` anew for each way to call them, with the
-texts of errors and broadcasting, which takes several times as long as these loops.
+Numba compiles `numpy.zeros`, `numpy.ones`, `numpy.full` and `numpy.searchsorted` anew for each way
+to call them, with the texts of errors and broadcasting, which takes several times as long as these
+loops.
 """
 
 from __future__ import annotations
@@ -48,3 +49,17 @@ def flags(n: int, value: bool) -> Bool:
     for i in range(n):
         out[i] = value
     return out
+
+
+@njit(**INNER)
+def first_not_below(ascending: I8, value: int) -> int:
+    """The first place in an ascending array (n,) whose number is not below a value, or n."""
+    low = 0 * ascending.size
+    high = ascending.size
+    while low < high:
+        middle = (low + high) // 2
+        if ascending[middle] < value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
