@@ -21,6 +21,7 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3 python; do \
 VENV ?= .venv
 PY := $(VENV)/bin/python
 BIN := $(VENV)/bin
+READY := $(VENV)/.ready
 STAMP := $(VENV)/.installed
 PEERS := .venv-peers
 SITE_ENV := .venv-site
@@ -40,20 +41,28 @@ help:
 
 env: $(STAMP)
 
-# The stamp is newer than its sources, so an up-to-date environment costs nothing.
-# Everything is installed as constraints.txt pins it, the build backend too, and pip checks each
-# file by its hash; the project itself has none, so it comes last. Dependencies are not followed:
-# those of TrackEval would replace OpenCV 4 by OpenCV 5, which has no cascades. A test checks that
-# nothing is missing.
-$(STAMP): pyproject.toml constraints.txt
+# A stamp is newer than its sources, so an up-to-date environment costs nothing.
+# Everything is installed as the constraints pin it, the build backend too, and pip checks each file
+# by its hash; the project itself has none, so it comes last. Dependencies are not followed: those
+# of TrackEval would replace OpenCV 4 by OpenCV 5, which has no cascades. A test checks that nothing
+# is missing. Modules are compiled when they are first imported: most of them never are.
+PIP_INSTALL := -m pip install --quiet --no-compile --no-deps
+
+# What tracking, the report and the pages need: all that the demo waits for.
+$(READY): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { \
 		echo "phdtrack needs Python 3.11 or later: install it," \
 			"or use make PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PY) -m pip --version >/dev/null 2>&1 || "$(PYTHON)" -m venv --clear $(VENV) || { \
 		echo "$(PYTHON) cannot create an environment:" \
 			"on Debian and Ubuntu, apt-get install python3-venv" >&2; exit 1; }
-	$(PY) -m pip install --quiet --require-hashes --no-deps -r constraints.txt
-	$(PY) -m pip install --quiet --no-deps --no-build-isolation -e .
+	$(PY) $(PIP_INSTALL) --require-hashes -r constraints.txt
+	$(PY) $(PIP_INSTALL) --no-build-isolation -e .
+	@touch $@
+
+# What the checks and the other formats need besides.
+$(STAMP): $(READY) tests/dev-constraints.txt
+	$(PY) $(PIP_INSTALL) --require-hashes -r tests/dev-constraints.txt
 	@touch $@
 
 test: lint pytest-plain warm pytest
@@ -83,10 +92,10 @@ test-slow: env $(CLUSTER) warm
 
 # Ray is large, and has no wheels for some machines: without it its tests skip.
 $(CLUSTER): tests/cluster-constraints.txt $(STAMP)
-	@$(PY) -m pip install --quiet --require-hashes --no-deps -r $< && touch $@ \
+	@$(PY) $(PIP_INSTALL) --require-hashes -r $< && touch $@ \
 		|| echo "Ray cannot be installed: its tests are skipped" >&2
 
-demo: env
+demo: $(READY)
 	$(BIN)/phdtrack demo --out demo-run --overwrite
 
 docs-check: env
@@ -126,7 +135,7 @@ site: $(SITE_ENV)/.installed
 
 $(SITE_ENV)/.installed: scripts/site-constraints.txt | env
 	test -x $(SITE_ENV)/bin/python || $(PY) -m venv $(SITE_ENV)
-	$(SITE_ENV)/bin/python -m pip install --quiet --require-hashes --no-deps -r $<
+	$(SITE_ENV)/bin/python $(PIP_INSTALL) --require-hashes -r $<
 	@touch $@
 
 clean:

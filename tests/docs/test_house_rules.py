@@ -390,6 +390,7 @@ MORE_CONSTRAINTS = (
     "benchmarks/peers-constraints.txt",
     "scripts/site-constraints.txt",
     "tests/cluster-constraints.txt",
+    "tests/dev-constraints.txt",
 )
 CONSTRAINTS = [ROOT / "constraints.txt", *(ROOT / name for name in MORE_CONSTRAINTS)]
 
@@ -403,32 +404,56 @@ def test_constraints_pin_versions_and_hashes_without_addresses(path: Path) -> No
     assert [line[:60] for line in pinned if not good.fullmatch(line)] == []
 
 
+def required(requirements: Iterable[str], extras: Iterable[str] = ("",)) -> set[str]:
+    """The packages that are required on this machine, with these extras."""
+    found = map(Requirement, requirements)
+    kept = [
+        one
+        for one in found
+        if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in extras)
+    ]
+    return {canonicalize_name(one.name) for one in kept}
+
+
+def pinned_in(*files: str) -> set[str]:
+    """The packages that these files of constraints pin."""
+    lines = [line for file in files for line in (ROOT / file).read_text("utf-8").splitlines()]
+    return {canonicalize_name(line.partition("==")[0]) for line in lines}
+
+
 def test_constraints_hold_everything_that_is_needed() -> None:
     """They are installed without following dependencies: what the packages of this machine ask for
     must be among them.
 
     TrackEval comes without its own, which would put OpenCV 5 over OpenCV 4.
     """
-
-    def asked(requirements: Iterable[str], extras: Iterable[str] = ("",)) -> set[str]:
-        found = map(Requirement, requirements)
-        kept = [
-            one
-            for one in found
-            if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in extras)
-        ]
-        return {canonicalize_name(one.name) for one in kept}
-
-    pinned = {
-        canonicalize_name(line.partition("==")[0])
-        for line in CONSTRAINTS[0].read_text(encoding="utf-8").splitlines()
-    }
+    pinned = pinned_in("constraints.txt", "tests/dev-constraints.txt")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    wanted = asked(project["project"]["dependencies"]) | asked(project["build-system"]["requires"])
+    wanted = required(project["project"]["dependencies"])
+    wanted |= required(project["build-system"]["requires"])
     # Of the extras paho-mqtt and Ray are not here: one has a stand-in, the other has constraints of
     # its own.
     for extra in project["project"]["optional-dependencies"].values():
-        wanted |= asked(extra) - {"phdtrack", "paho-mqtt", "ray"}
+        wanted |= required(extra) - {"phdtrack", "paho-mqtt", "ray"}
     for name in pinned - {"trackeval", "colorama"}:
-        wanted |= asked(metadata.requires(name) or ())
+        wanted |= required(metadata.requires(name) or ())
     assert wanted - pinned == set()
+
+
+def test_demo_waits_for_what_it_needs_and_no_more() -> None:
+    """`make demo` installs constraints.txt alone: tracking, report, pages, and the build backend.
+
+    Colorama is for Windows, and editables for an installation that follows the sources.
+    """
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    extras = project["project"]["optional-dependencies"]
+    wanted = required(project["project"]["dependencies"]) | {"colorama", "editables"}
+    wanted |= required(project["build-system"]["requires"])
+    for name in ("opencv", "video", "report", "web"):
+        wanted |= required(extras[name])
+    waiting = wanted - {"colorama"}
+    while waiting:
+        more = required(metadata.requires(waiting.pop()) or ()) - wanted
+        wanted |= more
+        waiting |= more
+    assert pinned_in("constraints.txt") == wanted
