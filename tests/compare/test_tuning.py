@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from phdtrack.compare.tuning import CANDIDATES, Tuning, check_sequences, of_scores
+from phdtrack import config
+from phdtrack.compare.tuning import CANDIDATES, Tuning, candidates, inputs, of_scores
+from phdtrack.config.registry import SECTIONS
 from phdtrack.errors import InputError
 
 SEQUENCES = ("a", "b", "c", "d")
@@ -70,7 +74,52 @@ def test_candidates_differ() -> None:
     assert len({one.name for one in CANDIDATES}) == len({one.sets for one in CANDIDATES}) > 5
 
 
-def test_one_sequence_is_refused() -> None:
-    with pytest.raises(InputError, match="one sequence is not enough to choose settings"):
-        check_sequences(["a", "a"])
-    check_sequences(["a", "b"])
+@pytest.mark.parametrize("name", sorted({*SECTIONS["filter"]} - {"none"}))
+def test_every_candidate_changes_the_settings_of_its_filter(name: str) -> None:
+    default = config.load(sets=[f"filter.kind={name}"])
+    tried = candidates(name)
+    assert len(tried) == len({one.name for one in tried}) > 5
+    for one in tried:
+        preset = one.sets.removeprefix("preset=") if one.sets.startswith("preset=") else ""
+        sets = [f"filter.kind={name}", *([] if preset else [one.sets])]
+        assert config.load(sets=sets, preset=preset).as_dict() != default.as_dict(), one
+
+
+def test_no_filter_has_nothing_to_choose() -> None:
+    with pytest.raises(InputError, match="the filter none has no settings to choose"):
+        candidates("none")
+
+
+def test_files_come_in_turns_and_folders_are_paired_by_name(tmp_path: Path) -> None:
+    for name in ("truths/a.txt", "truths/b.txt", "found/a.csv", "found/b.txt", "one/gt/gt.txt"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    files = [str(tmp_path / name) for name in ("truths/a.txt", "found/a.csv")]
+    assert inputs(files) == ([], [(Path(files[0]), Path(files[1]))])
+    folders = [str(tmp_path / "truths"), str(tmp_path / "found")]
+    found = [(one.name, other.name) for one, other in inputs(folders)[1]]
+    assert found == [("a.txt", "a.csv"), ("b.txt", "b.txt")]
+    # A folder that is a sequence is not one of truths.
+    sequences = [str(tmp_path / "one"), str(tmp_path / "one")]
+    assert inputs(sequences) == (sequences, [])
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("t/a.txt",), "expected a file of detections for each file of truth, got 1 in all"),
+        (("t/a.txt", "d"), "expected either files or folders, got both"),
+        (("t", "d"), r"c\.txt has no partner of the same name"),
+        (("t", "none"), "there are no files in it, nor is it a sequence"),
+        (("t/a.txt", "d/x.txt"), "no such file or folder"),
+    ],
+)
+def test_inputs_without_partner_are_errors(
+    words: tuple[str, ...], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("t/a.txt", "d/a.txt", "d/c.txt", "none/x/y.txt"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).write_text("")
+    with pytest.raises(InputError, match=sentence):
+        inputs(words)

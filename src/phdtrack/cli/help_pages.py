@@ -122,10 +122,11 @@ PAGES = {
             "phdtrack simulate crossing --no-video --out crossing",
             "phdtrack tune street crossing",
             "phdtrack tune street crossing --score IDF1 --out runs/tune-idf1",
+            "phdtrack tune street/gt/gt.txt street/det/det.txt --out runs/tune-one",
         ),
         panels={
-            "Candidates": "variant score",
-            "Input": "detections truth",
+            "Candidates": "filter preset config set variant score",
+            "Input": "detections truth frame-size fps format first-frame units box sequence",
             "Output": "out overwrite jobs json quiet",
         },
     ),

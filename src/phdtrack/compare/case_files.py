@@ -1,4 +1,4 @@
-"""The cases in a folder or a video.
+"""The cases in a folder or a video, and those of a truth and the file that goes with it.
 
 A folder has the layout of MOTChallenge: ``seqinfo.ini``, optionally ``gt/gt.txt``, and detections
 in ``det/det.txt`` or, if there are several sets, ``det_NAME/det.txt``. A single video in it, or
@@ -21,17 +21,19 @@ from phdtrack.detect.detectors import working_width
 from phdtrack.errors import InputError
 from phdtrack.formats import Conventions, find_seqinfo, read_detections, read_truth
 from phdtrack.run.descriptors import is_file as is_embeddings_file
-from phdtrack.run.requests import DEFAULT_APPEARANCE
+from phdtrack.run.requests import DEFAULT_APPEARANCE, frame_size
 from phdtrack.types import SequenceInfo
 from phdtrack.video import open_source
 
 _VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".webm", ".m4v")
 _DEFAULT_DETECTOR = "change"
+# Names of files that say nothing about the sequence.
+_USUAL_STEMS = ("gt", "det", "truth", "detections", "annotations", "labels")
 NO_SETTINGS: Mapping[str, Any] = {}
 
 
-def _existing(word: str) -> Path:
-    """The path of a folder or a video; `InputError` if there is none."""
+def existing(word: str) -> Path:
+    """The path of a file or folder; `InputError` if there is none, which names the nearest."""
     path = Path(word)
     if not path.exists():
         # Raises an error that names the nearest file.
@@ -54,7 +56,7 @@ def cases_of(
     request : the whole request.
     parameters, embedding : settings of detectors, and of a network that describes boxes.
     """
-    path = _existing(word)
+    path = existing(word)
     name = path.absolute().name if path.is_dir() else path.stem
     source = word
     sets = dict[str, Path]()
@@ -109,6 +111,80 @@ def cases_of(
         for detector, settings in detector_settings(detectors, parameters).items():
             cases.append(_detected(case, detector, settings, request))
     return cases
+
+
+def cases_of_pair(
+    truth: Path,
+    file: Path,
+    request: Request,
+    parameters: Mapping[str, Any],
+    embedding: Mapping[str, Any] = NO_SETTINGS,
+) -> list[Case]:
+    """The cases of a file of truth and a file of detections, or a video; both are read once to
+    check them.
+
+    Parameters
+    ----------
+    truth, file : annotated objects, and detections or a video of the same sequence.
+    request : the whole request.
+    parameters, embedding : settings of detectors, and of a network that describes boxes.
+
+    Raises
+    ------
+    InputError : one of them cannot be read, or size or rate of the frames are unknown.
+    """
+    if is_video(file):
+        alone = replace(request, truth=str(truth))
+        return cases_of(str(file), alone, parameters, embedding)
+    name = _pair_name(truth, file)
+    known = _stated_info(truth, file, request)
+    reading = _reading(request, name, known, alone=False)
+    last = _annotated(truth, reading[0], known)
+    info = _info(str(file), file, known, last, reading[1])
+    return [
+        Case(
+            name,
+            file.stem,
+            info,
+            truth,
+            file=file,
+            reading=reading,
+            labelled=request.labelled,
+            appearance=_appearance(request, ""),
+        )
+    ]
+
+
+def _pair_name(truth: Path, file: Path) -> str:
+    """The name of a sequence: that of its truth, or of the folder if all truths are called alike,
+    as in ``street/gt/gt.txt``.
+    """
+    for path in (truth.absolute(), file.absolute()):
+        if path.stem.lower() not in _USUAL_STEMS:
+            return path.stem
+    folders = (one.name for one in truth.absolute().parents if one.name not in ("", "gt"))
+    return next(folders, truth.stem)
+
+
+def _stated_info(truth: Path, file: Path, request: Request) -> SequenceInfo:
+    """Size and rate by the request, or by a ``seqinfo.ini`` near one of the files. Raises
+    `InputError` if they are unknown.
+    """
+    found = find_seqinfo(file) or find_seqinfo(truth)
+    info = found or SequenceInfo(0, 0, 0.0)
+    if request.frame_size:
+        width, height = frame_size(request.frame_size)
+        info = replace(info, width=width, height=height)
+    if request.fps:
+        info = replace(info, fps=request.fps)
+    if info.width and info.height and info.fps:
+        return info
+    raise InputError(
+        "size and rate of the frames are unknown",
+        where=file,
+        cure="Say --frame-size WxH and --fps F, or put a seqinfo.ini beside the file or one folder"
+        " up.",
+    )
 
 
 def _appearance(request: Request, source: str) -> str:
@@ -170,7 +246,7 @@ def _pictures(folder: Path) -> str:
     images = folder / "img1"
     if images.is_dir():
         return str(images)
-    videos = [file for file in folder.iterdir() if file.suffix.lower() in _VIDEOS]
+    videos = [file for file in folder.iterdir() if is_video(file)]
     return str(videos[0]) if len(videos) == 1 else ""
 
 
@@ -198,6 +274,19 @@ def _detection_file(text: str, sequence: str, sets: Mapping[str, Path]) -> tuple
     if equals and not Path(text).exists():
         return label, Path(pattern.replace("{}", sequence))
     return Path(text).stem.strip("{}") or "file", Path(text.replace("{}", sequence))
+
+
+def is_video(path: Path) -> bool:
+    """Return True if the file is a video, by its name."""
+    return path.suffix.lower() in _VIDEOS
+
+
+def is_sequence(folder: Path) -> bool:
+    """Return True if the folder is a sequence: it has a description, truth, detections, images or
+    one video.
+    """
+    described = (folder / "seqinfo.ini").is_file() or (folder / "gt").is_dir()
+    return described or bool(_detection_sets(folder)) or bool(_pictures(folder))
 
 
 def is_file(name: str) -> bool:

@@ -7,7 +7,12 @@ from contextlib import suppress
 from typing import Any
 
 from phdtrack import config
-from phdtrack.compare.case_files import cases_of, detector_settings, is_file
+from phdtrack.compare.case_files import (
+    cases_of,
+    cases_of_pair,
+    detector_settings,
+    is_file,
+)
 from phdtrack.compare.plans import Method, Plan, Request, Run
 from phdtrack.config.registry import SECTIONS
 from phdtrack.errors import InputError, did_you_mean
@@ -32,7 +37,7 @@ def plan(request: Request) -> Plan:
     -------
     The plan for `run`.
     """
-    if not request.sequences:
+    if not request.sequences and not request.pairs:
         raise InputError(
             "nothing to compare on", where="SEQUENCE", cure="Name folders of sequences, or videos."
         )
@@ -50,11 +55,9 @@ def plan(request: Request) -> Plan:
     embedding = _values(request, "embedding")
     # Unknown detectors are an error even if no sequence uses them.
     detector_settings(request.detectors, parameters)
-    cases = tuple(
-        case
-        for word in request.sequences
-        for case in cases_of(word, request, parameters, embedding)
-    )
+    found = [cases_of(word, request, parameters, embedding) for word in request.sequences]
+    found += [cases_of_pair(*pair, request, parameters, embedding) for pair in request.pairs]
+    cases = tuple(case for each in found for case in each)
     # Unknown words, and networks that cannot be used, are an error before anything runs.
     for appearance in {one.appearance for one in cases if one.appearance}:
         picture_describer(appearance, embedding)

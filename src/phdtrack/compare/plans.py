@@ -190,6 +190,8 @@ class Request:
     preset, file, sets : the settings; those of a filter, its extraction or its association apply to
         the filters that have them.
     iou : minimum overlap of matching boxes.
+    pairs : more sequences: a file of truth with a file of detections, or with a video, for each.
+    frame_size, fps : ``WxH`` in pixels, and the rate, of ``pairs`` without a ``seqinfo.ini``.
     """
 
     sequences: Sequence[str]
@@ -208,6 +210,9 @@ class Request:
     file: Path | None = None
     sets: Sequence[str] = ()
     iou: float = 0.5
+    pairs: Sequence[tuple[Path, Path]] = ()
+    frame_size: str = ""
+    fps: float = 0.0
 
     def load(self, sets: Sequence[str], preset: str = "") -> Settings:
         """The settings with these ``--set`` texts, and with another ``preset`` if one is given."""
