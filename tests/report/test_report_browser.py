@@ -41,6 +41,25 @@ def test_charts_follow_light_and_dark_mode(browser, width: int, scheme: str) -> 
     page.close()
 
 
+@pytest.mark.parametrize("width", [1280, 360])
+def test_charts_fit_the_window_with_text_that_can_be_read(browser, width: int) -> None:
+    """Nothing scrolls sideways, and what is drawn has nearly its own size."""
+    page = opened(browser, report_html(run_record(20, 3), {}), width, "light")
+    charts = page.locator(".chart:visible")
+    assert charts.count() >= 2
+    for chart in charts.all():
+        drawing = chart.locator("svg:visible")
+        assert drawing.count() == 1
+        shown, inside = drawing.evaluate(
+            "e => [e.getBoundingClientRect().width, e.parentElement.parentElement.clientWidth]"
+        )
+        assert shown < inside + 1 <= width
+        # Points of the figure, of which 72 are an inch.
+        own = drawing.evaluate("e => e.viewBox.baseVal.width") * 96 / 72
+        assert shown / own > 0.9
+    page.close()
+
+
 @pytest.mark.parametrize("width", [1280, 390])
 def test_many_lifetimes_are_folded(browser, width: int) -> None:
     heights = []

@@ -43,8 +43,12 @@ _BLUE = "#3b6fd4"
 _ORANGE = "#e08a1e"
 _GREEN = "#2a9d74"
 _GREY = "#9aa5b8"
-# Width of figures in inches.
+# Width of figures in inches, and of charts on a phone, with room for entries of a legend in a row.
 _WIDTH = 8.2
+_NARROW_WIDTH = 3.4
+_NARROW_ENTRIES = 2
+# Height of a row of the legend in inches.
+_LEGEND_ROW = 0.2
 _DOTS_PER_INCH = 144
 # Most identities that get a label each, in the map and in the chart of lifetimes.
 _MAX_LABELS = 80
@@ -66,12 +70,15 @@ _MIN_WEIGHT = 0.02
 
 
 class Picture(NamedTuple):
-    """An encoded figure: ``data`` of type ``mime``, ``width`` × ``height`` in CSS pixels."""
+    """An encoded figure: ``data`` of type ``mime``, ``width`` × ``height`` in CSS pixels; of a
+    chart also the one for phones, with text of the same size.
+    """
 
     mime: str
     data: bytes
     width: int
     height: int
+    narrow: bytes = b""
 
     @property
     def address(self) -> str:
@@ -83,7 +90,17 @@ class Picture(NamedTuple):
         """A chart as markup for a page; empty for other pictures."""
         if self.mime != "image/svg+xml":
             return Markup("")
-        return Markup(self.data.decode().replace(_INK, "currentColor"))
+        return _markup(self.data)
+
+    @property
+    def narrow_svg(self) -> Markup:
+        """The chart for a phone as markup."""
+        return _markup(self.narrow)
+
+
+def _markup(data: bytes) -> Markup:
+    """A chart in the colour of the text around it."""
+    return Markup(data.decode().replace(_INK, "currentColor"))
 
 
 def count_chart(record: RunRecord) -> Picture:
@@ -463,23 +480,41 @@ def _over_scene(axes: Axes, image: Image, *, darkness: float) -> Picture:
 
 
 def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
-    """The figure as transparent SVG with a legend above its axes, text as outlines, and no
-    date.
+    """The figure as transparent SVG with a legend above its axes, text as outlines, and no date;
+    and the same in the width of a phone.
     """
     axes.set_ylim(bottom=bottom)
     for artist in (*axes.lines, *axes.collections):
         artist.set_rasterized(points > _MAX_VECTOR_POINTS)
-    handles = axes.get_legend_handles_labels()[0]
-    if handles:
+    entries = len(axes.get_legend_handles_labels()[0])
+    figure: Any = axes.get_figure(root=True)
+    _legend(axes, entries)
+    wide = _as_svg(figure)
+    width, height = (round(96 * float(inches)) for inches in figure.get_size_inches())
+    rows = 1
+    if entries > _NARROW_ENTRIES:
+        rows = math.ceil(entries / _NARROW_ENTRIES)
+        _legend(axes, _NARROW_ENTRIES)
+    inches = float(figure.get_size_inches()[1]) + _LEGEND_ROW * (rows - 1)
+    figure.set_size_inches(_NARROW_WIDTH, inches)
+    return Picture("image/svg+xml", wide, width, height, _as_svg(figure))
+
+
+def _legend(axes: Axes, columns: int) -> None:
+    """Draw the legend above the axes, if anything has a label."""
+    if columns:
         axes.legend(
             loc="lower left",
             bbox_to_anchor=(0, 1),
-            ncols=len(handles),
+            ncols=columns,
             frameon=False,
             fontsize=9.0,
             labelcolor=_INK,
         )
-    figure: Any = axes.get_figure(root=True)
+
+
+def _as_svg(figure: Any) -> bytes:
+    """The figure as SVG for a page, which needs no XML declaration."""
     buffer = io.BytesIO()
     figure.savefig(
         buffer,
@@ -488,8 +523,5 @@ def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
         transparent=True,
         metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")),
     )
-    # A page needs no XML declaration.
     data = buffer.getvalue()
-    data = data[data.find(b"<svg") :]
-    width, height = (round(96 * float(inches)) for inches in figure.get_size_inches())
-    return Picture("image/svg+xml", data, width, height)
+    return data[data.find(b"<svg") :]
