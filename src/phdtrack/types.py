@@ -702,6 +702,14 @@ class Tracks:
         if not len(self.class_id):
             object.__setattr__(self, "class_id", np.zeros(len(self.frame), np.int64))
 
+    def __repr__(self) -> str:
+        """A line about the rows: arrays of thousands of them tell nothing."""
+        rows = f"Tracks: {len(self.frame)} rows"
+        if not len(self.frame):
+            return f"<{rows}>"
+        count = len(np.unique(self.identity))
+        return f"<{rows}, {count} identities, frames {self.frame.min()} to {self.frame.max()}>"
+
     @classmethod
     def empty(cls) -> Tracks:
         """No rows."""

@@ -199,6 +199,7 @@ def test_existing_counts_are_not_deleted(run: Path, tmp_path: Path) -> None:
         (("--line", "160,0,160,240"), "expected NAME=x1,y1,x2,y2 in pixels, got '160,0,160,240'"),
         (("--line", "a=160,0,160"), "expected NAME=x1,y1,x2,y2"),
         (("--line", "a=160,0"), "line 'a': expected at least 2 points, got 1"),
+        (("--line", "a=160,0"), "Name the pixels of each, as a=x1,y1,x2,y2."),
         (("--zone", "a=0,0,9,0"), "zone 'a': expected at least 3 points, got 2"),
         (("--line", LINE, "--zone", "middle=0,0,9,0,9,9"), "two places are called 'middle'"),
         (("--line", LINE, "--filter", "mht"), "--filter: the tracks come from"),

@@ -138,7 +138,7 @@ def test_a_detector_runs_once(sequence):
         cwd=sequence, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 2
-    assert "the labels are those of other detections" in done.stderr
+    assert "these marks were made on other detections" in done.stderr
 
 
 def test_what_comes_next_is_said_with_the_options_of_then(sequence, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
+import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,6 +15,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from numba.core.compiler_lock import global_compiler_lock
 
 from phdtrack.associate.graph import GraphMatching
 from phdtrack.config import build, load
@@ -433,6 +435,22 @@ def test_frames_that_compile_are_left_out_of_the_speed(
     # A compilation may reach into the frames that are tracked meanwhile.
     assert 2 <= found["frames_left_out"] <= 6
     assert found["frames_per_second"] > 0
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_kernels_compiled_at_the_end_do_not_count_for_speed(
+    job: PreparedRun, directory: rundir.RunDirectory
+) -> None:
+    """A first run compiles what joins and smooths the tracks, too."""
+
+    class Compiling(RunObserver):
+        def finish(self, directory: rundir.RunDirectory, tracks: Tracks) -> None:
+            with global_compiler_lock:
+                time.sleep(2.0)
+
+    found = replace(job, observers=(Compiling(),)).run(directory).document
+    assert found["seconds"] > 2.0
+    assert found["frames"] / found["frames_per_second"] < 2.0
 
 
 @pytest.mark.parametrize("rate", [7.0, 25.0])

@@ -289,6 +289,16 @@ def test_a_camera_that_freezes_goes_on_where_time_is(
     assert source.status().connects == 1
 
 
+def test_a_camera_that_is_not_there_is_reported_once(capfd: pytest.CaptureFixture[str]) -> None:
+    """OpenCV prints nothing beside it."""
+    source = LiveSource("97", connect=0.5)
+    source.start()
+    waited(source, "down")
+    assert source.status().problem == "camera 97 cannot be opened"
+    source.stop()
+    assert "VIDEOIO" not in capfd.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_silent_server_is_left_and_tried_again(
     server: CameraServer,

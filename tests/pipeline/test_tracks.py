@@ -40,6 +40,11 @@ def test_rows_are_counted_indexed_and_gone_through() -> None:
         tracks[4]
 
 
+def test_a_line_describes_the_rows() -> None:
+    assert repr(rows()) == "<Tracks: 4 rows, 2 identities, frames 1 to 3>"
+    assert repr(Tracks.empty()) == "<Tracks: 0 rows>"
+
+
 def test_a_data_frame_and_detections_of_supervision(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of stand-ins: these libraries are the user's own."""
     made: dict[str, Any] = {}

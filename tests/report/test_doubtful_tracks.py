@@ -248,5 +248,7 @@ def test_report_says_what_moving_regions_are() -> None:
     assert "about 25\u00a0% of the boxes are in doubtful tracks" in said
     assert "Doubtful tracks" in report_html(regions, {})
     assert run_document(regions, {})["doubtful_boxes"] == asdict(doubtful)
+    sure = replace(record, doubtful=DoubtfulTracks(36, 0, 0.0, 0.0, 0.0, 0.0))
+    assert "counts are approximate." in " ".join(sentences(sure))
     empty = replace(regions, tracks=Tracks.empty(), doubtful=DoubtfulTracks())
     assert "Doubtful tracks" not in report_html(empty, {})

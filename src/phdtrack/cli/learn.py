@@ -88,7 +88,7 @@ def learn(
     if nothing and clutter == "unattended":
         output.warn(["nothing was learned: tracks with this scene are those without"])
     elif nothing:
-        cure = "Mark false detections, or learn longer"
+        cure = "Mark false detections with `phdtrack label`, or use a longer video."
         raise InputError("nothing could be learned", where=sequence.name, cure=cure)
     write_scene(target, trained.scene)
     page = _write_page(target, trained, sequence, source, blur, output)

@@ -197,13 +197,14 @@ class LabelStore:
                     )
                 if known["detections"] != digest:
                     problem = (
-                        f"the labels are those of other detections (of {known['source']}), not of"
-                        f" these of {source}"
+                        f"these marks were made on other detections (of {known['source']}) than"
+                        f" those of {source} that are to be used now"
                     )
                     raise InputError(
                         problem,
                         where=path,
-                        cure="Give another --labels file, or the detections of then",
+                        cure="Say the same --detections or --detector as when they were made, or"
+                        " another --labels file.",
                     )
                 db.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", known.items())
                 place = "(SELECT coalesce(max(place) + 1, 0) FROM frame)"

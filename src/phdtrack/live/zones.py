@@ -35,6 +35,8 @@ Anchor = Literal["feet", "centre"]
 ANCHORS: tuple[Anchor, ...] = ("feet", "centre")
 # Pixels below which two points are the same: the square of a smaller distance may be 0.
 _SAME = 1e-3
+# Coordinates as they are written: of a line, and of a zone.
+_EXAMPLES = ("x1,y1,x2,y2", "x1,y1,x2,y2,x3,y3")
 # Points in shares of the frame's size do not exceed this number.
 _MAX_SHARE = 1.5
 
@@ -66,7 +68,9 @@ class Place:
             raise InputError("expected points of finite numbers", where=where)
         if len(self.points) < least:
             raise InputError(
-                f"expected at least {least} points, got {len(self.points)}", where=where
+                f"expected at least {least} points, got {len(self.points)}",
+                where=where,
+                cure=f"Name the pixels of each, as {self.name}={_EXAMPLES[int(self.closed)]}.",
             )
         if any(math.dist(a, b) < _SAME for a, b in self.edges):
             raise InputError(

@@ -46,7 +46,10 @@ def open_camera(address: str) -> VideoSource:
     if not first:
         live.stop()
         problem = live.status().problem or "nothing arrived"
-        cure = "Check the address, and that the camera is on."
+        if address.isdecimal():
+            cure = "Check that it is connected, and that no other program uses it; 0 is the first."
+        else:
+            cure = "Check the address, and that the camera is on."
         raise InputError(
             f"no picture arrived in {live.connect:g} s: {problem}", where=address, cure=cure
         )

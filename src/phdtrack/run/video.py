@@ -129,32 +129,34 @@ def _run(run: Run, advance: Advance) -> RunResult:
         lesson = SceneLesson((run.inputs.info.width, run.inputs.info.height), kept)
     progress = _track(run, advance, lesson)
     tracked = time.perf_counter()
-    return_memory()
-    _raise_if_nothing(run, progress)
-    tracks = _smoothed(run, progress)
-    if lesson is not None:
-        run, progress, tracks = _track_again(run, lesson, progress, tracks, advance)
-    progress.scene_warnings = scene_warnings(run.inputs.detector)
-    if run.inputs.again:
-        # Videos and charts take memory, too. A camera's detector goes on in the next segment.
-        forget_scene(run.inputs.detector)
-        with (
-            progress.writing(),
-            TracksWriter(run.directory.file(rundir.TRACKS), run.names) as file,
-        ):
-            file.append(tracks, run.places(tracks.xyxy))
-        final = tracks
-    else:
-        final = Tracks.concatenate(progress.final)
-    for observer in run.observers:
-        with progress.writing():
-            observer.finish(run.directory, final)
-    if run.inputs.again:
-        progress.judge(tracks)
-    scored = score_run(run, progress, tracks)
-    if run.options.video:
-        draw_videos(run, progress, tracks, advance)
-    finishing = time.perf_counter() - tracked
+    compiling = _CompilingTime()
+    with event.install_listener("numba:compiler_lock", compiling):
+        return_memory()
+        _raise_if_nothing(run, progress)
+        tracks = _smoothed(run, progress)
+        if lesson is not None:
+            run, progress, tracks = _track_again(run, lesson, progress, tracks, advance)
+        progress.scene_warnings = scene_warnings(run.inputs.detector)
+        if run.inputs.again:
+            # Videos and charts take memory, too. A camera's detector goes on in the next segment.
+            forget_scene(run.inputs.detector)
+            with (
+                progress.writing(),
+                TracksWriter(run.directory.file(rundir.TRACKS), run.names) as file,
+            ):
+                file.append(tracks, run.places(tracks.xyxy))
+            final = tracks
+        else:
+            final = Tracks.concatenate(progress.final)
+        for observer in run.observers:
+            with progress.writing():
+                observer.finish(run.directory, final)
+        if run.inputs.again:
+            progress.judge(tracks)
+        scored = score_run(run, progress, tracks)
+        if run.options.video:
+            draw_videos(run, progress, tracks, advance)
+    finishing = time.perf_counter() - tracked - compiling.seconds
     return_memory()
     advance(progress.frames, total=progress.frames, description="report")
     seconds = (time.perf_counter() - began, finishing)
@@ -313,6 +315,28 @@ class _Record:
             progress.signs.see(tracked.step.number)
         progress.frames += 1
         progress.shakes = progress.shakes or len(detected.pose) > 0
+
+
+# Numba has no types.
+class _CompilingTime(event.Listener):  # type: ignore[misc]
+    """Adds up the seconds in which kernels are compiled or loaded, by any thread."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._depth = 0
+        self._began = 0.0
+
+    def on_start(self, event: event.Event) -> None:
+        """Numba takes its lock, perhaps once more."""
+        if self._depth == 0:
+            self._began = time.perf_counter()
+        self._depth += 1
+
+    def on_end(self, event: event.Event) -> None:
+        """It returns the lock."""
+        self._depth -= 1
+        if self._depth == 0:
+            self.seconds += time.perf_counter() - self._began
 
 
 class _Pace:

@@ -19,6 +19,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 from urllib.parse import urlsplit
@@ -322,6 +323,9 @@ class LiveSource:
 
     def _camera(self, index: int) -> Iterator[Image]:
         """The pictures of a camera of this machine."""
+        # OpenCV would print a line each time that there is none: the status says so.
+        with suppress(AttributeError):
+            cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         capture = cv2.VideoCapture(index)
         try:
             if not capture.isOpened():
