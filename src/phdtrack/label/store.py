@@ -198,7 +198,7 @@ class LabelStore:
                 if known["detections"] != digest:
                     problem = (
                         f"these marks were made on other detections (of {known['source']}) than"
-                        f" those of {source} that are to be used now"
+                        f" those to be used now (of {source})"
                     )
                     raise InputError(
                         problem,
