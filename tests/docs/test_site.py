@@ -202,6 +202,58 @@ def test_reference_and_search_have_names_and_settings(site: Path):
     assert {name for name in names if f">{name}<" not in found} == set()
 
 
+# What users look for, and the page that has it.
+LOOKED_FOR = {
+    "webcam": "track-a-video",
+    "rtsp": "live",
+    "mqtt": "live",
+    "docker compose": "live",
+    "home assistant": "live",
+    "privacy": "live",
+    "ultralytics": "own-detector",
+    "supervision": "from-other-trackers",
+    "ByteTrack": "from-other-trackers",
+    "onnx": "own-detector",
+    "count people": "counting",
+    "heatmap": "track-a-video",
+    "dwell": "zones-and-lines",
+    "moving camera": "moving-camera",
+    "homography": "cameras",
+    "label": "learn-a-scene",
+    "false alarms": "learn-a-scene",
+    "re-identification": "appearance",
+    "tune": "compare",
+    "resume": "track-a-video",
+    "KITTI": "formats",
+    "groups": "groups",
+}
+
+
+@pytest.mark.slow
+@needs_browser
+def test_words_of_users_find_the_page_of_their_task(browser, site: Path) -> None:
+    """Among the first four pages."""
+    page = browser.new_page()
+    page.goto((site / "index.html").as_uri())
+    box = page.locator(".md-search__input")
+    box.click()
+    page.get_by_text("Type to start searching").wait_for()
+    pages = page.locator(".md-search-result__item > a")
+    missed = {}
+    for words, wanted in LOOKED_FOR.items():
+        box.fill("")
+        page.get_by_text("Type to start searching").wait_for()
+        box.press_sequentially(words)
+        pages.first.wait_for()
+        # The last letter may still be searched for.
+        page.wait_for_timeout(300)
+        found = pages.evaluate_all("all => all.map(a => a.href)")[:4]
+        if not any(f"/how-to/{wanted}.html" in link for link in found):
+            missed[words] = [link.rpartition("site/")[2] for link in found]
+    page.close()
+    assert missed == {}
+
+
 @pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize(
