@@ -137,7 +137,8 @@ def test_the_update_is_its_definition(seed: int, name: str):
     new = [(0.8 * 1e-7 * (1 - occluded), first[:, j], spread[j]) for j in range(6)]
     # Scores that tell lasting false alarms leave nothing to static clutter.
     scores = np.exp(rng.normal(0, 2, 6)), rng.normal(0, 3, 6) * (settings.lasting_clutter_prior > 0)
-    model = replace(model, clutter=ScoredClutter(model.clutter, *scores))
+    missing = (0.02, rng.uniform(0.1, 0.4))
+    model = replace(model, clutter=ScoredClutter(model.clutter, *scores, missing=missing))
     ruled = (
         replace(settings, static_clutter_prior=0.0) if settings.lasting_clutter_prior else settings
     )
@@ -154,7 +155,7 @@ def test_the_update_is_its_definition(seed: int, name: str):
         [3e-7] * 6,
         new,
         ruled,
-        scores,
+        (*scores, missing),
         ROUNDS,
         SETTLED,
         odds,

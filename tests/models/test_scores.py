@@ -173,8 +173,8 @@ def plain_chains(before, boxes, x, waiting, length, overlap):
             now[j] = np.nan
     ended = np.setdiff1d(np.arange(len(before)), link)
     false = waiting[ended].ravel()
-    alone = np.isin(np.arange(len(before)), ended) & (length == 1)
-    return now, long, np.array(true), false[~np.isnan(false)], alone
+    ends = np.isin(np.arange(len(before)), ended)
+    return now, long, np.array(true), false[~np.isnan(false)], ends
 
 
 def plain_newton(before: Line, true, false, prior: Line, remembered: float) -> Line:

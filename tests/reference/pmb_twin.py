@@ -215,6 +215,15 @@ def after_standing(x: Hypothesis, seen: bool, p: float, firing: float) -> float:
     return float(np.clip(x.genuine + np.log(ratio), -8, 8))
 
 
+def after_miss(x: Hypothesis, of_target: float, of_false: float) -> float:
+    """The log odds that what moves is genuine, after a miss that is certain if it is occluded; at
+    most 8 in size.
+    """
+    seen = 1 - x.occluded
+    ratio = (1 - seen * (1 - of_target)) / (1 - seen * (1 - of_false))
+    return float(np.clip(x.genuine + np.log(ratio), -8, 8))
+
+
 def new_hypotheses(s, genuine: float, mean, cov, j: int) -> list[Hypothesis]:
     """The hypotheses of a new target: its motions and, if there is static clutter, that it stands
     still, as one of 20 targets does and all static clutter.
@@ -238,16 +247,17 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled,
     ``targets`` is a list of (r, [Hypothesis, …]); ``z`` a list of measurements with expected value
     ``h`` @ mean and noise ``noise``; ``clutter`` κ of each; ``new`` a list of (λ̂, mean,
     covariance) of each; ``s`` the settings of `filters.PMB`; ``scores`` the odds and the log odds
-    of each, against false alarms of one frame and against lasting ones; ``odds_of_p_d`` those that
-    were learned, as a multiple of the sensor's; ``turn`` what `with_new_velocities` takes of the
-    world, None without. Gives the targets that are left as (index before, −1 for new ones, r,
-    [Hypothesis, …]), of each measurement the probability that it is a false alarm, static and
-    lasting clutter included, and the `counts`.
+    of each, against false alarms of one frame and against lasting ones, and the probabilities that
+    a visible target and a lasting false alarm are missed; ``odds_of_p_d`` those that were learned,
+    as a multiple of the sensor's; ``turn`` what `with_new_velocities` takes of the world, None
+    without. Gives the targets that are left as (index before, −1 for new ones, r, [Hypothesis, …]),
+    of each measurement the probability that it is a false alarm, static and lasting clutter
+    included, and the `counts`.
     """
     n = len(z)
     share = {}
     psi = np.zeros((len(targets), len(z)))
-    odds, log_odds = scores
+    odds, log_odds, missing = scores
     lasting = s.lasting_clutter_prior
     firing = s.static_clutter_detection_probability
     start = np.log((1 - lasting) / lasting) if lasting else np.inf
@@ -298,6 +308,8 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled,
                 weight = nothing[t] * exists * x.weight * (1 - seen[t][c]) / unseen
                 miss_weight[t, c] = weight
                 genuine = after_standing(x, False, p, firing)
+                if lasting and not x.static and genuine < start + PROVED:
+                    genuine = after_miss(x, *missing)
                 options.append(
                     replace(x, weight=weight, occluded=x.occluded / (1 - p), genuine=genuine)
                 )

@@ -32,8 +32,8 @@ with probability ρ has the likelihood q(z)(ρ o(s) + 1 − ρ), and
 
 with ρ₀ = 1 − ``lasting_clutter_prior``; k forgets what scores have said, because those of one
 target are alike, and change when it comes nearer. What high scores have once raised far above the
-prior is genuine for good: low scores say then that it is partly hidden. Targets are present as far
-as they are genuine.
+prior is genuine for good: low scores say then that it is partly hidden. Until then each miss says
+that it flickers as such clutter does [PMB (21)]. Targets are present as far as they are genuine.
 
 Four things that a model cannot know about every stream and target are found, where the settings ask
 for them.
@@ -553,12 +553,14 @@ class PMB(Checked, Filter[Bernoullis]):
         if isinstance(clutter, ScoredClutter):
             anew = clutter.anew
             intensity = clutter.without_scores(z)
-            lasting = np.count_nonzero(clutter.log_odds) > 0
-            scores = Scores(clutter.odds, clutter.log_odds, self._prior if lasting else CERTAIN)
+            known = clutter.missing[0] > 0
+            lasting = known or np.count_nonzero(clutter.log_odds) > 0
+            prior = self._prior if lasting else CERTAIN
+            scores = Scores(clutter.odds, clutter.log_odds, prior, clutter.missing)
         else:
             intensity = clutter.intensity(z)
             nothing = np.zeros(z.shape[1])
-            scores = Scores(nothing + 1, nothing, CERTAIN)
+            scores = Scores(nothing + 1, nothing, CERTAIN, (0.0, 0.0))
         interval = dt / model.pace
         if self.clutter_decay and interval > 1:
             again = math.exp(-self.clutter_decay * (interval - 1))

@@ -26,6 +26,17 @@ class Line(NamedTuple):
     verdicts: F8
 
 
+class Steadiness(NamedTuple):
+    """A Gaussian over (a, b) of the log odds a·x + b that what is followed is no lasting false
+    alarm: ``precision`` (2, 2), times mean (2,); and ``breaks`` (2,): how many chains of targets
+    have ended in a frame, and of how many.
+    """
+
+    information: F8
+    precision: F8
+    breaks: F8
+
+
 # Scores are probabilities, log odds, or on another scale: then they are ranked.
 PROBABILITY, LOGIT, RANK = range(3)
 
@@ -74,8 +85,8 @@ def chained(
     ``before`` (n, 4) are the boxes of the frame before, of whose chains ``waiting`` (n, L) are what
     waits, NaN where nothing does, and ``length`` (n,) how long they are. ``boxes`` (m, 4) and ``x``
     (m,) are of this frame. Returns both for its m chains, x of what was true, as its chain has
-    lasted for L frames, and false, as it has ended before, and which (n,) of the frame before were
-    alone: linked neither before nor now.
+    lasted for L frames, and false, as it has ended before, and which (n,) of the frame before end
+    their chain.
     """
     m = boxes.shape[0]
     most = waiting.shape[1]
@@ -85,7 +96,6 @@ def chained(
     true = np.empty(m * most)
     false = np.empty(waiting.size)
     t = f = 0 * m
-    alone = flags(before.shape[0], False)
     ended = flags(before.shape[0], True)
     for j in range(m):
         i = link[j]
@@ -106,12 +116,11 @@ def chained(
                 now[j, k] = math.nan
     for i in range(before.shape[0]):
         if ended[i]:
-            alone[i] = length[i] == 1
             for k in range(most):
                 if not math.isnan(waiting[i, k]):
                     false[f] = waiting[i, k]
                     f += 1
-    return now, long, true[:t].copy(), false[:f].copy(), alone
+    return now, long, true[:t].copy(), false[:f].copy(), ended
 
 
 @njit(**MERGED)
@@ -188,6 +197,67 @@ def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) ->
     return information, precision, verdicts
 
 
+@njit(**INNER)
+def _mean_of(information: F8, precision: F8) -> tuple[float, float]:
+    """The mean (a, b) of a Gaussian; a is not negative."""
+    scale = precision[0, 0] * precision[1, 1] - precision[0, 1] * precision[0, 1]
+    a = (precision[1, 1] * information[0] - precision[0, 1] * information[1]) / scale
+    b = (precision[0, 0] * information[1] - precision[0, 1] * information[0]) / scale
+    return (a if a > 0.0 else 0.0), b
+
+
+@njit(**MERGED)
+def steadier(
+    before: Steadiness,
+    x: F8,
+    ended: Bool,
+    prior: Steadiness,
+    remembered: float,
+    flicker: float,
+) -> tuple[F8, F8, F8]:
+    """`Steadiness` after a step of Fisher scoring with chains that may have ended [PMB (20)].
+
+    ``x`` (n,) are those of their last detections, NaN for those that do not count, and ``ended``
+    (n,) tells which chains this frame has ended. Old ones are forgotten, for the ``prior``.
+    ``flicker``: the probability that a false alarm is missing where a target would be detected.
+    """
+    n = 0
+    for i in range(x.size):
+        n += not math.isnan(x[i])
+    kept = max(1 - n / remembered, 0.0)
+    information = _blended(before.information, prior.information, kept)
+    breaks = _blended(before.breaks, prior.breaks, kept)
+    precision = np.empty((2, 2))
+    for r in range(2):
+        precision[r] = _blended(before.precision[r], prior.precision[r], kept)
+    a, b = _mean_of(information, precision)
+    of_target = breaks[0] / breaks[1]
+    more = (1.0 - of_target) * flicker
+    for i in range(x.size):
+        if math.isnan(x[i]):
+            continue
+        log_odds = a * x[i] + b
+        false = 1.0 / (1.0 + math.exp(log_odds))
+        p = of_target + more * false
+        slope = -more * false * (1.0 - false)
+        if ended[i]:
+            step = slope / p
+            target = of_target * (1.0 - false) / p
+            breaks[0] += target
+        else:
+            step = -slope / (1.0 - p)
+            target = (1.0 - of_target) * (1.0 - false) / (1.0 - p)
+        breaks[1] += target
+        fisher = slope * slope / (p * (1.0 - p))
+        information[0] += (fisher * log_odds + step) * x[i]
+        information[1] += fisher * log_odds + step
+        precision[0, 0] += fisher * x[i] * x[i]
+        precision[0, 1] += fisher * x[i]
+        precision[1, 0] += fisher * x[i]
+        precision[1, 1] += fisher
+    return information, precision, breaks
+
+
 @njit(**ENTRY)
 def levelled(
     score: F8,
@@ -223,13 +293,21 @@ def levelled(
 
 @njit(**ENTRY)
 def evidence_of(
-    x: F8, slope: float, offset: float, limit: float, of_lasting: float, ranked: bool
+    x: F8,
+    slope: float,
+    offset: float,
+    limit: float,
+    of_lasting: float,
+    ranked: bool,
+    steady: tuple[F8, F8],
 ) -> tuple[F8, F8]:
     """Log odds (n,) of targets against false alarms, and against those that last; 0 for NaN.
 
     The first are within ``limit``. The others are ``of_lasting`` times them if scores are
-    ``ranked``, else times x.
+    ``ranked``, else times x; if negative, no less than ``steady`` says, the information and the
+    precision of `Steadiness`.
     """
+    a, b = _mean_of(steady[0], steady[1])
     single = np.empty(x.size)
     lasting = np.empty(x.size)
     for j in range(x.size):
@@ -238,7 +316,8 @@ def evidence_of(
             lasting[j] = 0.0
         else:
             single[j] = min(max(slope * x[j] + offset, -limit), limit)
-            lasting[j] = of_lasting * (single[j] if ranked else x[j])
+            claim = of_lasting * (single[j] if ranked else x[j])
+            lasting[j] = max(claim, min(a * x[j] + b, 0.0))
     return single, lasting
 
 
@@ -247,33 +326,52 @@ def learned_frame(
     before: F8,
     boxes: F8,
     x: F8,
-    chains: tuple[F8, I8],
+    chains: tuple[F8, I8, F8],
     line: Line,
     prior: Line,
-    rule: tuple[float, float, int],
+    steady: tuple[Steadiness, Steadiness],
+    rule: tuple[float, float, int, float],
     same_kind: bool,
-) -> tuple[tuple[F8, I8], tuple[F8, F8, F8], bool, tuple[int, int, int, int, int]]:
-    """The chains and the line after a frame, whether there were verdicts on it, and counts: of
-    boxes ``before`` that are alone, and what `neighbours` counts of all boxes, and of those alone.
+) -> tuple[
+    tuple[F8, I8],
+    tuple[F8, F8, F8],
+    bool,
+    tuple[F8, F8, F8],
+    tuple[int, int, int, int, int],
+]:
+    """The chains and the line after a frame, whether there were verdicts on it, the steadiness, and
+    counts: of boxes ``before`` that are alone, linked neither before nor now, and what `neighbours`
+    counts of all boxes, and of those alone.
 
-    ``before``, ``boxes``, ``x``, ``chains``: see `chained`. ``line``, ``prior``: see `newton`.
-    ``rule``: the overlap, how many verdicts are remembered, and how many boxes are asked for
-    neighbours. If scores are no longer of the ``same_kind``, verdicts wait anew.
+    ``before``, ``boxes``, ``x``: see `chained`. ``chains``: what waits, how long they are, and x of
+    their last detections. ``line``, ``prior``: see `newton`. ``steady``: that before, and its
+    prior. ``rule``: the overlap, how many verdicts are remembered, how many boxes are asked for
+    neighbours, and the flicker of `steadier`. If scores are no longer of the ``same_kind``,
+    verdicts wait anew.
     """
-    overlap, remembered, most = rule
-    waiting, length, true, false, lone = chained(before, boxes, x, chains[0], chains[1], overlap)
+    overlap, remembered, most, flicker = rule
+    waiting, length, true, false, ended = chained(before, boxes, x, chains[0], chains[1], overlap)
     alone = 0
-    for i in range(lone.size):
+    lone = flags(ended.size, False)
+    followed = floats(ended.size, math.nan)
+    for i in range(ended.size):
+        lone[i] = ended[i] and chains[1][i] == 1
         alone += lone[i]
+        if chains[1][i] >= waiting.shape[1]:
+            followed[i] = chains[2][i]
     near = neighbours(boxes, flags(len(boxes), True), most)
     of_lone = neighbours(before, lone, most)
     counts = (alone, near[0], near[1], of_lone[0], of_lone[1])
     learned = same_kind and true.size + false.size > 0
     information, precision, verdicts = line
+    known = Steadiness(*steady[0])
+    seen = known.information, known.precision, known.breaks
+    if same_kind:
+        seen = steadier(known, followed, ended, Steadiness(*steady[1]), remembered, flicker)
     if not same_kind:
         for j in range(waiting.shape[0]):
             for k in range(waiting.shape[1]):
                 waiting[j, k] = math.nan
     elif learned:
         information, precision, verdicts = newton(line, true, false, prior, remembered)
-    return (waiting, length), (information, precision, verdicts), learned, counts
+    return (waiting, length), (information, precision, verdicts), learned, seen, counts

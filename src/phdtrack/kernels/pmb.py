@@ -108,12 +108,14 @@ class Scores(NamedTuple):
 
     ``odds`` (N,): p(s|target)/p(s|false alarm). ``log_odds`` (N,): log p(s|target)/p(s|lasting
     false alarm). ``prior``: log odds that a new target is genuine, and no lasting false alarm;
-    `CERTAIN` where there are none.
+    `CERTAIN` where there are none. ``missing``: the probabilities that a target that is visible and
+    a lasting false alarm are not detected; 0 and 0 where this is not known.
     """
 
     odds: F8
     log_odds: F8
     prior: float
+    missing: tuple[float, float]
 
 
 class Settings(NamedTuple):
@@ -787,6 +789,18 @@ def after_score(genuine: float, scores: Scores, j: int) -> float:
 
 
 @njit(**INNER)
+def _after_miss(genuine: float, occluded: float, scores: Scores) -> float:
+    """The log odds that a target that moves is genuine, after it was missed [PMB (21)]."""
+    of_target, of_false = scores.missing
+    if genuine >= scores.prior + PROVED or not of_target > 0.0:
+        return genuine
+    visible = 1.0 - occluded
+    ratio = (occluded + visible * of_target) / (occluded + visible * of_false)
+    after: float = _within(genuine + math.log(ratio))
+    return after
+
+
+@njit(**INNER)
 def _within(log_odds: float) -> float:
     """Log odds of evidence that may change again, at most `LIMIT` in size."""
     return LIMIT if log_odds > LIMIT else -LIMIT if log_odds < -LIMIT else log_odds
@@ -901,6 +915,8 @@ def _write_hypothesis(
             h.genuine = _within(
                 h.genuine + math.log(missed / (1.0 - s.static_detection_probability))
             )
+        elif scores.prior < CERTAIN:
+            h.genuine = _after_miss(h.genuine, before.occluded, scores)
         return
     if h.static:
         seen = visible if visible > NEVER else NEVER

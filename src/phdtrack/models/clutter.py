@@ -128,6 +128,8 @@ class ScoredClutter:
     more : how many times as many false alarms there are as κ says.
     anew : the share of these that are new in each frame; the others are false alarms that come
         again.
+    missing : the probabilities that a visible target, and a false alarm that lasts, are not
+        detected in a frame; 0 and 0 where this is not known.
     """
 
     base: Clutter
@@ -135,6 +137,7 @@ class ScoredClutter:
     log_odds: F8
     more: float = 1.0
     anew: float = 1.0
+    missing: tuple[float, float] = (0.0, 0.0)
 
     def without_scores(self, z: F8) -> F8:
         """(N,) more·κ(z), whatever the scores."""

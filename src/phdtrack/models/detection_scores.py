@@ -27,6 +27,12 @@ False alarms that last, as of a poster or of one's own mirror image, are linked 
 that nothing is learned of them. Against these a score is read as the probability that it claims to
 be, and a rank as half of what was learned. Scores that tell targets from other false alarms badly,
 by an a below half of the prior's, say as much less of lasting ones.
+
+But a detector's probabilities mean little elsewhere: in some streams objects that anybody can see
+have scores of 0.2 to 0.45 beside others of 0.9. False alarms that last flicker, besides being
+missed as targets are. So how often chains of at least `LENGTH` frames end tells, for each x, how
+many of them are false [PMB (20)]: weak detections that are followed as long as strong ones are
+objects, and their scores say nothing against them.
 """
 
 from __future__ import annotations
@@ -41,6 +47,7 @@ from phdtrack.kernels.detection_scores import (
     LOGIT,
     RANK,
     Line,
+    Steadiness,
     evidence_of,
     learned_frame,
     levelled,
@@ -78,6 +85,10 @@ LASTING_SHARE = 0.5
 # the prior's: then as much less. Surely less: with so many standard deviations more, too.
 CLAIMED_SLOPE = 0.5
 SURE = 2.0
+# The probability that a lasting false alarm is missing in a frame in which a target would be
+# detected; and of how many chains of targets how many end in a frame, before any are seen.
+FLICKER = 0.15
+PRIOR_BREAKS = np.array([1.0, 2.0])
 # Scores are log odds where some are negative and none is above the first. A detector that reports
 # negative ones reports more than it believes: the second is what says nothing. The third: x is
 # between minus and plus this, as of probabilities from the last.
@@ -104,7 +115,9 @@ class ScoresSeen:
     waiting : (m, `LENGTH`) x of the detections of their chains that wait for a verdict, NaN where
         there is none.
     length : (m,) frames that their chains have lasted.
+    last : (m,) x of the detections of the last frame.
     line : what is known of (a, b); None before the first verdict.
+    steady : what chains have shown of lasting false alarms; None before the first frame.
     level : x of the best scores, see `LEVEL_FRAMES`; −∞ before there are any.
     near : how many detections were in the neighbourhood of another, and of how many.
     near_alone : how many of these overlapped none of the frames beside them, and of how many.
@@ -117,7 +130,9 @@ class ScoresSeen:
     boxes: F8 = field(default_factory=lambda: np.zeros((0, 4)))
     waiting: F8 = field(default_factory=lambda: np.zeros((0, LENGTH)))
     length: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    last: F8 = field(default_factory=lambda: np.zeros(0))
     line: Line | None = None
+    steady: Steadiness | None = None
     alone: tuple[float, float] = (0.0, FIRST_SEEN)
     near: tuple[float, float] = (0.0, 0.0)
     near_alone: tuple[float, float] = (0.0, 0.0)
@@ -170,7 +185,12 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         if kind != RANK:
             believed = CLAIMED_SLOPE * self._prior(kind)[0]
             of_lasting = min((slope + SURE * deviation) / believed, 1.0)
-        found: tuple[F8, F8] = evidence_of(x, slope, offset, limit, of_lasting, kind == RANK)
+        steady = self._claimed(kind)
+        if state.steady is not None and kind == state.kind:
+            steady = state.steady
+        found: tuple[F8, F8] = evidence_of(
+            x, slope, offset, limit, of_lasting, kind == RANK, tuple(steady[:2])
+        )
         return found
 
     def _line(self, state: ScoresSeen, kind: int) -> tuple[float, float, float]:
@@ -189,6 +209,14 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             return 1.0, 0.0
         slope, even = RANKS if kind == RANK else (self.slope, self.even_score)
         return slope, -slope * math.log(even / (1 - even))
+
+    def _claimed(self, kind: int) -> Steadiness:
+        """The claims of scores about lasting false alarms, as the prior of what chains show."""
+        claim = (1.0, 0.0)
+        if kind == RANK:
+            slope, offset = self._prior(kind)
+            claim = (LASTING_SHARE * slope, LASTING_SHARE * offset)
+        return Steadiness(PRIOR_PRECISION * claim, _PRECISION, PRIOR_BREAKS)
 
     def start(self) -> ScoresSeen:
         """No score seen."""
@@ -209,8 +237,19 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             most = (NEAR_PRIOR * NEAR + near) / (NEAR_PRIOR + seen)
             more *= min(max(most / NEAR, LEAST_NEAR), 1.0)
             anew = min(self._anew(state) / more, 1.0)
-        scored = ScoredClutter(model.clutter, np.exp(single), lasting, more, anew)
+        scored = ScoredClutter(
+            model.clutter, np.exp(single), lasting, more, anew, self._missing(state)
+        )
         return model.with_clutter(scored)
+
+    def _missing(self, state: ScoresSeen) -> tuple[float, float]:
+        """`ScoredClutter.missing`, once chains have shown it; ranks claim too little for that."""
+        low, high = state.extent
+        if state.steady is None or state.kind == RANK or not low < high:
+            return 0.0, 0.0
+        ended, chains = state.steady.breaks.tolist()
+        of_target = ended / chains
+        return of_target, of_target + (1 - of_target) * FLICKER
 
     def _anew(self, state: ScoresSeen) -> float:
         """How many times κ the false alarms are that are new in each frame [PMB (19)]."""
@@ -231,14 +270,16 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         same = kind == state.kind
         # As plain tuples: Numba looks up the class of every named one.
         prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
-        (waiting, length), known, learned, counts = learned_frame(
+        claimed = tuple(self._claimed(kind))
+        (waiting, length), known, learned, steady, counts = learned_frame(
             state.boxes,
             boxes,
             x,
-            (state.waiting, state.length),
+            (state.waiting, state.length, state.last),
             tuple(state.line or prior),
             prior,
-            (LINKED, float(KEPT), NEAR_ASKED),
+            (tuple(state.steady or claimed), claimed),
+            (LINKED, float(KEPT), NEAR_ASKED, FLICKER),
             same,
         )
         n = len(state.boxes)
@@ -253,7 +294,9 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             boxes,
             waiting,
             length,
+            x,
             line,
+            Steadiness(*steady) if same else None,
             alone,
             _with_neighbours(state.near, *counts[1:3]),
             _with_neighbours(state.near_alone, *counts[3:]),
