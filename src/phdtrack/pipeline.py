@@ -265,7 +265,7 @@ def _with_looks(
     appearance, looks = stages.appearance.looks(state.appearance, measured, time)
     if looks is None and model.appearance is None:
         return appearance, model
-    return appearance, replace(model, appearance=looks)
+    return appearance, model.with_appearance(looks)
 
 
 def _appeared(
@@ -402,7 +402,7 @@ def finish(stages: AnyStages, state: TrackingState) -> Tracks:
     if stages.smoother:
         model = stages.model
         if stages.appearance:
-            model = replace(model, appearance=stages.appearance.known(state.appearance))
+            model = model.with_appearance(stages.appearance.known(state.appearance))
         tracks = stages.smoother.smooth(
             tracks, stages.associator.measurements(state.association), model
         )

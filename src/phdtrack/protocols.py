@@ -297,6 +297,26 @@ class Model:
             self.appearance,
         )
 
+    def with_appearance(self, appearance: Looks | None) -> Model:
+        """The same model with what the measurements of another frame look like.
+
+        Parameters
+        ----------
+        appearance : `Model.appearance`.
+        """
+        return Model(
+            self.motion,
+            self.sensor,
+            self.birth,
+            self.clutter,
+            self.rate,
+            self.first,
+            self.warp,
+            self.pace,
+            self.births_before,
+            appearance,
+        )
+
     def birth_seconds(self, dt: float) -> float:
         """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last
         second.

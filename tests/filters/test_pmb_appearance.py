@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from appearance_cases import (
+    FPS,
     TURN,
     D,
     frame_of,
@@ -25,9 +26,11 @@ from appearance_cases import (
 )
 from inner_kernels import from_python
 from phdtrack import Tracker, pipeline
+from phdtrack.filters import PMB
 from phdtrack.kernels.appearance import described
 from phdtrack.kernels.association import EDGE
 from phdtrack.kernels.verdicts import DOUBTFUL, MISSED, write_verdicts
+from phdtrack.protocols import Filter
 from phdtrack.types import F8, Detections, Tracks
 from reference.pmb_twin import enumerated
 from tracker_cases import equal
@@ -239,3 +242,36 @@ def test_descriptors_of_another_length_begin_anew():
     assert set(step.tracks.identity.tolist()) == {1, 2, 3}
     corrected = pipeline.finish(stages, state)
     assert len(np.unique(corrected.identity)) == 3
+
+
+@dataclass(frozen=True)
+class Composed(Filter):
+    """The filter by its parts: predict, then update."""
+
+    inner: PMB
+
+    def start(self, model, rng):
+        return self.inner.start(model, rng)
+
+    def predict(self, state, model, dt, rng):
+        return self.inner.predict(state, model, dt, rng)
+
+    def update(self, state, z, model, dt, rng):
+        return self.inner.update(state, z, model, dt, rng)
+
+
+def test_a_step_is_predict_and_update_to_the_last_digit(monkeypatch: pytest.MonkeyPatch):
+    """And one call: neither kernel is called by itself, with looks or without."""
+    rng = np.random.default_rng(4)
+    frames = list(crowd(100, lambda k, n: rng.normal(0, 1, (n, D)) + np.resize(LOOKS, (n, D))))
+    frames[60] = replace(frames[60], embeddings=None)
+    stages = tracker_of().stages
+    parts = Tracker(stages=replace(stages, filter=Composed(stages.filter)), fps=FPS)
+    rows = [parts.update(found) for found in frames]
+    tracker = tracker_of()
+    for name in ("predicted_layer", "updated_layer"):
+        monkeypatch.delattr(f"phdtrack.filters.pmb.{name}")
+    for found, expected in zip(frames, rows, strict=True):
+        assert equal(tracker.update(found), expected)
+    assert equal(tracker.tracks(), parts.tracks())
+    assert len(tracker.state.intensity.pasts.time) == len(parts.state.intensity.pasts.time) > 0

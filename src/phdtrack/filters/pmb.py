@@ -144,8 +144,8 @@ MOST_DETECTION = 0.97
 SCORE_MEMORY = 15.0
 # The share of false alarms that are new in each frame, if no stream has shown it.
 ANEW = 0.2
-NOBODY: I8 = np.zeros((0, 2), np.int64)
 NO_NUMBERS: F8 = np.zeros(0)
+NOBODY: I8 = np.zeros((0, 2), np.int64)
 
 
 @lru_cache(maxsize=8)
@@ -185,11 +185,6 @@ class Bernoullis:
     def __len__(self) -> int:
         """Number of hypotheses."""
         return len(self.present.hypotheses)
-
-    @property
-    def remembers_others(self) -> bool:
-        """True if there are undetected targets as a mixture, or pasts of appearance."""
-        return len(self.undetected) > 0 or len(self.pasts.time) > 0
 
     @property
     def present(self) -> Layer:
@@ -339,25 +334,25 @@ class PMB(Checked, Filter[Bernoullis]):
     def step(
         self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Bernoullis, UpdateInfo]:
-        """Predict and update; in one compiled call for boxes whose appearance is not known."""
+        """Predict and update; in one compiled call for boxes around which targets are born."""
         motion = model.motion
         sensor = model.sensor
         if not (
             self.transform == "linear"
             and type(motion) is BoxMotion
             and type(sensor) is BoxSensor
-            and model.appearance is None
-            and not state.remembers_others
+            and not len(state.undetected)
         ):
             return Filter.step(self, state, z, model, dt, rng)
         births, hidden = self._births(state, model, z, dt)
         if len(births.weight):
             return Filter.step(self, state, z, model, dt, rng)
-        before = state.present
+        before, pasts, looks = _with_pasts(state.present, state.pasts, model.appearance)
+        known = len(looks.mean) > 0 or len(pasts.time) > 0
         mean, covariance = carried(model, before.mean, before.covariance)
         clutter, scores, seen, gate = self._seen(model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
-        layer, learned, gone, counted = stepped_boxes(
+        layer, learned, gone, counted, sure, pasts = stepped_boxes(
             (before.targets, before.hypotheses, mean, covariance),
             (tuple(motion.dynamics(dt, dt / model.rate)), self._factors, *sensor.numbers),
             self._chances(dt / model.rate),
@@ -367,10 +362,15 @@ class PMB(Checked, Filter[Bernoullis]):
             tuple(self._settings(gate, model, state.detections, scores.prior < CERTAIN)),
             (dt, FAST_SHARE, self._turn(dt, model), FAST_SPEED, self.turns_per_second > 0),
             state.next_label,
+            (tuple(pasts), plain(looks)) if known else None,
         )
         layers = (*state.layers[-self.history :], Layer(*layer))
         return self._updated(
-            (state, layers, state.frame + 1), clutter, (learned, gone, counted), hidden
+            (state, layers, state.frame + 1),
+            clutter,
+            (learned, gone, counted, sure),
+            hidden,
+            pasts if len(looks.free) else state.pasts,
         )
 
     @property
@@ -444,24 +444,24 @@ class PMB(Checked, Filter[Bernoullis]):
         )
         layers = (*state.layers[:-1], layer)
         after, info = self._updated(
-            (state, layers, state.frame), clutter, (learned, gone, counted), hidden
+            (state, layers, state.frame),
+            clutter,
+            (learned, gone, counted, sure),
+            hidden,
+            pasts if len(looks.free) else state.pasts,
         )
-        if len(sure):
-            info = replace(info, sure=sure)
         # Recycle deleted targets into the undetected ones: PMB (6)
-        undetected = state.undetected
         if len(births.weight):
-            undetected = self._undetected(births, model, now, weak)
-        if len(looks.free) or undetected is not state.undetected:
-            after = replace(after, pasts=pasts, undetected=undetected)
+            after = replace(after, undetected=self._undetected(births, model, now, weak))
         return after, info
 
     def _updated(
         self,
         before: tuple[Bernoullis, tuple[Layer, ...], int],
         clutter: F8,
-        found: tuple[tuple[Any, ...], I8, tuple[float, float, float]],
+        found: tuple[tuple[Any, ...], I8, tuple[float, float, float], I8],
         hidden: float,
+        pasts: Pasts,
     ) -> tuple[Bernoullis, UpdateInfo]:
         """The state and the record after an update.
 
@@ -469,11 +469,12 @@ class PMB(Checked, Filter[Bernoullis]):
         ----------
         before : the state before it, the layers after it, and the number of the last one.
         clutter : (N,) κ(z).
-        found : of `updated_layer`, which targets are gone, what was counted, and the rest.
-        hidden : `Bernoullis.hidden` after it.
+        found : of `updated_layer` what was learned, which targets are gone, what was counted, and
+            which targets are sure.
+        hidden, pasts : those of `Bernoullis` after it.
         """
         state, layers, frame = before
-        learned, gone, counted = found
+        learned, gone, counted, sure = found
         predicted, born, mass, evidence, false_alarm, vanished, detected = learned
         info = UpdateInfo(
             predicted,
@@ -485,7 +486,7 @@ class PMB(Checked, Filter[Bernoullis]):
             vanished,
             NO_NUMBERS,
             detected,
-            NOBODY,
+            sure,
         )
         targets = layers[-1].targets
         next_label = state.next_label
@@ -499,7 +500,7 @@ class PMB(Checked, Filter[Bernoullis]):
             frame,
             self._remembered(state.detections, counted),
             hidden,
-            state.pasts,
+            pasts,
         )
         return after, info
 

@@ -1,6 +1,6 @@
 """A step of the Poisson multi-Bernoulli filter over boxes in one call: the kernels that
-`filters.pmb.PMB` otherwise calls one by one, for boxes at constant velocity whose appearance is not
-known, around whose detections targets are born.
+`filters.pmb.PMB` otherwise calls one by one, for boxes at constant velocity around whose detections
+targets are born.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F8, I8
+from phdtrack.kernels.appearance import Looks, Pasts
 from phdtrack.kernels.box import (
     OBSERVED,
     Noise,
@@ -83,11 +84,14 @@ def stepped_boxes(
     settings: Settings,
     turns: Turns,
     fresh: int,
+    appearance: tuple[Pasts, Looks] | None,
 ) -> tuple[
     tuple[Any, ...],
     tuple[float, float, float, F8, F8, int, float],
     I8,
     tuple[float, float, float],
+    I8,
+    Pasts | None,
 ]:
     """The targets one frame later, with new ones, and what was learned: `predicted_layer` and
     `updated_layer`, which describe the rest.
@@ -96,7 +100,7 @@ def stepped_boxes(
     ----------
     layer : the targets of the frame before, in the pixels of this one.
     world, chances, turns : records of this module, as plain tuples.
-    m, new, scores, settings, fresh : see `updated_layer`.
+    m, new, scores, settings, fresh, appearance : see `updated_layer`.
     """
     dynamics, factors, noise, speed, p_detect, of_target = world
     occlude, reappear, stand, freedom, genuine = chances
@@ -135,12 +139,14 @@ def stepped_boxes(
             usual[c, 0] = deviations[2, c]
             usual[c, 1] = deviations[3, c]
     jumps = Jumps(turns.interval, turns.fast, turns.turn, usual, turns.wide)
-    after, learned, gone, _, counted, _, _ = updated_layer(
-        ahead, expected, m, new, scores, settings, fresh, jumps, None
+    after, learned, gone, _, counted, sure, pasts = updated_layer(
+        ahead, expected, m, new, scores, settings, fresh, jumps, appearance
     )
     return (
         (after.targets, after.hypotheses, after.mean, after.covariance),
         learned,
         gone,
         counted,
+        sure,
+        pasts,
     )
