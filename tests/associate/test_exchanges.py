@@ -147,12 +147,13 @@ def state_of(own: np.ndarray, lately: np.ndarray, alive: list[bool]) -> Returns:
     )
 
 
-def looks_of(time: float = 9.0) -> Looks:
+def looks_of(time: float = 9.0, doubt: float = 0.0) -> Looks:
     law = UNKNOWN._replace(
         means_weight=0.9,
         means_same=0.8,
         means_deviation=0.1,
         means_other_deviation=0.2,
+        doubt=doubt,
         within=math.inf,
     )
     none = np.zeros((0, D), np.float32)
@@ -206,6 +207,17 @@ def test_odds_are_those_of_the_four_likelihoods(rng: np.random.Generator):
     unseen = state.seen._replace(lately_number=np.array([2.0, 1.0, 2.0]))
     odds = odds_of(replace(state, seen=unseen), 30.0, 30.0)
     assert np.isneginf(odds).tolist() == [True, False, True]
+
+
+def test_exchanges_are_doubted_where_looks_change_places(rng: np.random.Generator):
+    own = rng.normal(0, 1, (3, D))
+    state = state_of(own, own[[1, 2, 0]], [True, True, False])
+    rules = rules_of(30.0, 20.0)
+    usual, doubtful = (
+        exchange_odds(tuple(state.seen), state.met, plain(looks_of(doubt=doubt)), rules)
+        for doubt in (0.0, 1.5)
+    )
+    np.testing.assert_allclose(usual - doubtful, 1.5)
 
 
 def test_a_target_takes_the_identity_of_a_lost_one():

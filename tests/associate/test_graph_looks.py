@@ -17,7 +17,7 @@ from phdtrack.types import Appeared, Estimates, UpdateInfo
 from reference import appearance_twin as twin
 from reference.graph_twin import gains
 
-LAW = Law(0.7, 0.8, -0.05, 0.12, 0.0, 0.2, 0.4, 0.6, 0.15, 0.0, 1.0, 1.0, 0.0, 1.0, 60.0)
+LAW = Law(0.7, 0.8, -0.05, 0.12, 0.0, 0.2, 0.4, 0.6, 0.15, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0, 60.0)
 PEOPLE = prototypes(6)
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -17,7 +17,7 @@ from reference import appearance_twin as twin
 from reference.mht_twin import enumerate_histories, summed
 
 RNG = np.random.default_rng(0)
-LAW = Law(0.7, 0.8, -0.05, 0.12, 0.0, 0.2, 0.4, 0.6, 0.15, 0.0, 1.0, 1.0, 0.0, 1.0, 60.0)
+LAW = Law(0.7, 0.8, -0.05, 0.12, 0.0, 0.2, 0.4, 0.6, 0.15, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0, 60.0)
 LOOKS = prototypes(6)
 # Two targets that cross, seen three times: in the second scan they are in one place.
 CROSSING = [

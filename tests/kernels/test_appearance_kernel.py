@@ -52,6 +52,7 @@ def a_law(rng: np.random.Generator) -> Law:
         deviation[3],
         means_other,
         deviation[4],
+        rng.uniform(0, 2),
         np.inf,
     )
 

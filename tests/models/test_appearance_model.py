@@ -79,9 +79,13 @@ def test_the_worth_grows_with_lessons(rng: np.random.Generator):
     weights = [RULE.law(taught_by(frames[:n]).lessons).weight for n in (1, 3, 10, 30, 80)]
     assert weights[0] == 0
     assert weights == sorted(weights)
-    assert 0.4 < weights[-1] < 0.5
+    # No two have met: it may yet turn out that looks change places then.
+    assert 0.3 < weights[-1] < 0.36
+    met = taught_by(frames).lessons._replace(beside=np.array([1000.0, 0.0]))
+    assert 0.4 < RULE.law(met).weight < 0.5
     quick = replace(RULE, prior_lessons=0.0)
-    assert 0.48 < quick.law(taught_by(frames[:10]).lessons).weight < 0.5
+    met = taught_by(frames[:10]).lessons._replace(beside=np.array([1000.0, 0.0]))
+    assert 0.48 < quick.law(met).weight < 0.5
 
 
 def test_a_difference_within_its_error_is_worth_nothing():
@@ -98,16 +102,20 @@ def test_looks_that_change_places_where_targets_meet_say_nothing(rng: np.random.
     lessons = taught_by(views(rng, one_of_each(6), 60, 0.3)).lessons
     laws = {
         changed: RULE.law(lessons._replace(beside=np.array([100.0, changed])))
-        for changed in (0.0, 1.0, 2.5, 30.0)
+        for changed in (0.0, 0.5, 1.0, 2.5, 30.0)
     }
-    usual = RULE.law(lessons)
-    assert laws[0.0] == laws[1.0] == usual
-    assert usual.weight > 0.3
-    assert usual.means_weight > 0.3
-    # Of 140 lessons 2.9 have changed, so 26 % of meetings; usually it is an eighth.
-    part = math.log(1 / (2.9 / 140 / 0.08) - 1) / math.log(7)
-    assert laws[2.5].weight == pytest.approx(part * usual.weight)
-    assert laws[2.5].means_weight == pytest.approx(part * usual.means_weight)
+    first = RULE.law(lessons)
+    best = laws[0.0]
+    assert best.weight > 0.3
+    assert best.means_weight > 0.3
+    assert best.doubt == 0
+    assert laws[1.0] == first
+    # Of 140 lessons 2.9 have changed, so 26 % of meetings, 1.4 an eighth; a sixteenth is usual.
+    for changed, law in ((0.9, laws[0.5]), (1.4, first), (2.9, laws[2.5])):
+        part = math.log(1 / (changed / 140 / 0.08) - 1) / math.log(15)
+        assert law.weight == pytest.approx(part * best.weight)
+        assert law.means_weight == pytest.approx(part * best.means_weight)
+        assert law.doubt == pytest.approx(math.log(changed / 140 / 0.005))
     assert laws[30.0].weight == laws[30.0].means_weight == 0
 
 

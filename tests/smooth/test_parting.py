@@ -185,6 +185,17 @@ def test_tracks_without_descriptors_stay_whole():
     assert whole.identity.tolist() == SMOOTHING.smooth(tracks, none, model_of()).identity.tolist()
 
 
+@pytest.mark.parametrize(("odd", "tracks_after"), [(range(200, 250), 1), (range(200, 401), 2)])
+def test_who_looks_like_another_for_a_while_is_still_the_same(odd: range, tracks_after: int):
+    """For two seconds of sixteen; for good it is another one."""
+    boxes = walk(np.random.default_rng(6), 400, (50.0, 240.0), (1.0, 0.0))
+    piece = {n: boxes[n - 1] for n in range(1, 401)}
+    tracks, measurements = sequence([piece], 400, model_of())
+    measurements = with_looks(measurements, [int(n in odd) for n in range(1, 401)])
+    pieces = pieces_of(tracks, measurements)
+    assert len(np.unique(pieces.identity)) == tracks_after
+
+
 def test_a_few_odd_views_part_no_track():
     """Less than one and a half independent ones on a side."""
     tracks, measurements = meeting(swapped=False)

@@ -52,6 +52,8 @@ class Law(NamedTuple):
 
     ``means_weight``, ``means_same``, ``means_deviation``, ``means_other``,
     ``means_other_deviation``: the same of the similarity of two means of many detections.
+    ``doubt``: log of how many times as often as usually the looks of two targets change places
+    where they meet, at least 0: so much less do looks that have changed places say of identities.
     ``within``: seconds after which no target takes its identity again.
     """
 
@@ -69,6 +71,7 @@ class Law(NamedTuple):
     means_deviation: float
     means_other: float
     means_other_deviation: float
+    doubt: float
     within: float
 
 
@@ -110,7 +113,7 @@ class Pasts(NamedTuple):
 
 
 # Nothing is known of what similarity says.
-UNKNOWN = Law(0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.5, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0)
+UNKNOWN = Law(0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.5, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0, 0.0)
 _NONE = np.zeros(0)
 _NO_LOOKS = np.zeros((0, 0), np.float32)
 NO_PASTS = Pasts(_NO_LOOKS, _NONE, _NONE, _NONE, _NO_LOOKS, _NONE)

@@ -9,7 +9,7 @@ from typing import Any
 
 from phdtrack.kernels import F8
 from phdtrack.kernels.appearance import UNKNOWN
-from phdtrack.kernels.appearance_lessons import USUAL_CHANGED, Lessons, changed_share
+from phdtrack.kernels.appearance_lessons import Lessons, changed_share
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
@@ -29,6 +29,9 @@ PRIOR_SINGLE = 20.0
 USUAL_SIGNAL = 0.6
 # Of the meetings at which two change looks this part is seen beside each other thereafter.
 SEEN_CHANGED = 0.08
+# The share of changed looks up to which looks are believed fully: half of what is expected at
+# first, so that meetings must have shown it.
+TRUSTED = 0.005
 _UNKNOWN = tuple(UNKNOWN[:-1])
 
 
@@ -59,7 +62,8 @@ def law_of(
     other = t / others
     other_variance = _variance(tt - others * other**2, others)
     value = worth((number, same, variance), (others, other, other_variance), prior, ALIKE)
-    trust = _trust(changed_share(sums.beside))
+    changed = changed_share(sums.beside)
+    trust = _trust(changed)
     independent, signal, near_deviation = _noise(sums.single)
     return (
         TRUST * trust * value,
@@ -72,6 +76,7 @@ def law_of(
         signal,
         near_deviation,
         *_means(sums.means, prior, alike, trust),
+        max(math.log(changed / TRUSTED), 0.0),
         within,
     )
 
@@ -121,12 +126,12 @@ def _trust(changed: float) -> float:
     If looks change places at a meeting with probability ε, then all that two targets look like
     after it is worth no more than log (1 − ε)/ε [APP (7)].
     """
-    if changed <= USUAL_CHANGED:
+    if changed <= TRUSTED:
         return 1.0
     chance = changed / SEEN_CHANGED
     if chance >= 0.5:
         return 0.0
-    usual = USUAL_CHANGED / SEEN_CHANGED
+    usual = TRUSTED / SEEN_CHANGED
     return math.log(1.0 / chance - 1.0) / math.log(1.0 / usual - 1.0)
 
 

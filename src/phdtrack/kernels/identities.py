@@ -471,7 +471,7 @@ def exchange_odds(seen: tuple[Any, ...], met: I8, looks: Looks, rules: tuple[Any
         if not (seen_now[b] or _is_lost(known, b, looks.time, rules.doubt)):
             continue
         odds = rules.exchanged if seen_now[a] and seen_now[b] else rules.exchanged_with_lost
-        odds -= seen_now[a] * fits[a] + seen_now[b] * fits[b]
+        odds -= looks.law.doubt + seen_now[a] * fits[a] + seen_now[b] * fits[b]
         # No ratio of likelihoods is larger than this.
         if odds + (seen_now[a] + seen_now[b]) * MOST <= 0.0:
             continue

@@ -24,6 +24,9 @@ LEAST = 1.5
 FEWEST = 4
 # Seconds within which two tracks are parted at one time.
 TOGETHER = 1.0
+# What a track looks like on each side is that of so many times the memory: an object that looks
+# like another one only for a while is still itself.
+HORIZONS = (1.0, 3.0)
 _NONE: I8 = np.zeros(0, np.int64)
 
 
@@ -121,25 +124,8 @@ def _cuts(known: SequenceLooks, column: I8, time: F8) -> I8:
     """The detections of a track after which it is parted; ``column`` (n,) are their measurements,
     ``time`` (n,) their seconds.
     """
-    unit = known.unit[column]
-    weight = known.weight[column]
     memory = known.frame.memory
-    n = len(time)
-    total = np.zeros((n + 1, unit.shape[1]))
-    np.cumsum(unit * weight[:, None], axis=0, out=total[1:])
-    mass = np.concatenate(([0.0], np.cumsum(weight)))
-    here = np.arange(1, n)
-    begin = np.searchsorted(time, time[:-1] - memory)
-    end = np.searchsorted(time, time[1:] + memory, side="right")
-    before = mass[here] - mass[begin]
-    after = mass[end] - mass[here]
-    means = np.concatenate([total[here] - total[begin], total[end] - total[here]])
-    count = np.concatenate([before, after])
-    means /= np.maximum(count, 1e-9)[:, None]
-    number = known.independent(count)
-    ratio = known.likeness(means.astype(np.float32), number, here - 1, n - 1 + here - 1)
-    enough = (number[: n - 1] >= LEAST) & (number[n - 1 :] >= LEAST)
-    ratio = np.where(enough, ratio, 0.0)
+    ratio = np.max([_ratios(known, column, time, each * memory) for each in HORIZONS], axis=0)
     cuts = list[int]()
     while True:
         least = ratio.min()
@@ -154,3 +140,28 @@ def _cuts(known: SequenceLooks, column: I8, time: F8) -> I8:
         middle = (time[cut] + time[cut + 1]) / 2
         near: Bool = np.abs((time[:-1] + time[1:]) / 2 - middle) <= memory
         ratio = np.where(near, 0.0, ratio)
+
+
+def _ratios(known: SequenceLooks, column: I8, time: F8, horizon: float) -> F8:
+    """(n − 1,) log-likelihood ratios that what a track looks like in the seconds ``horizon`` before
+    and after each place between two detections is one object; 0 where too little is known. Other
+    arguments as of `_cuts`.
+    """
+    unit = known.unit[column]
+    weight = known.weight[column]
+    n = len(time)
+    total = np.zeros((n + 1, unit.shape[1]))
+    np.cumsum(unit * weight[:, None], axis=0, out=total[1:])
+    mass = np.concatenate(([0.0], np.cumsum(weight)))
+    here = np.arange(1, n)
+    begin = np.searchsorted(time, time[:-1] - horizon)
+    end = np.searchsorted(time, time[1:] + horizon, side="right")
+    before = mass[here] - mass[begin]
+    after = mass[end] - mass[here]
+    means = np.concatenate([total[here] - total[begin], total[end] - total[here]])
+    count = np.concatenate([before, after])
+    means /= np.maximum(count, 1e-9)[:, None]
+    number = known.independent(count)
+    ratio = known.likeness(means.astype(np.float32), number, here - 1, n - 1 + here - 1)
+    enough = (number[: n - 1] >= LEAST) & (number[n - 1 :] >= LEAST)
+    return np.where(enough, ratio, 0.0)
