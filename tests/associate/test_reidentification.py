@@ -41,7 +41,10 @@ from phdtrack.models.returns import (
     Rates,
     among,
     log_odds,
+    mean_away,
     returning_share,
+    twin_chance,
+    twins_among,
 )
 from phdtrack.models.track_returns import with_returns
 from phdtrack.protocols import Associator
@@ -356,10 +359,11 @@ def test_odds_are_by_bayes_rule(rng: np.random.Generator):
     new = np.hstack([corner[1], corner[1] + size])
     apart = np.linalg.norm(corner[1] - corner[0], axis=1)
     deviation = 60 * (0.5 + gap)
-    near = np.exp(-((apart / deviation) ** 2) / 2) / (2 * math.pi * deviation**2)
-    place = NEARBY * near + (1 - NEARBY) / 5e4
-    back = 0.3 * np.exp(-gap / RETURN_TIME) / RETURN_TIME * place
-    rates = Rates(0.2, 0.3)
+    # What is wider than the area is one there.
+    peak = np.maximum(1 / (2 * math.pi * deviation**2), 1 / 5e4)
+    place = NEARBY * peak * np.exp(-((apart / deviation) ** 2) / 2) + (1 - NEARBY) / 5e4
+    back = 0.3 * np.exp(-gap / 12.0) / 12.0 * place
+    rates = Rates(0.2, 0.3, 12.0)
     odds = log_odds(gap, lost, new, rates, 5e4)
     np.testing.assert_allclose(odds, np.log(back / (0.2 / 5e4)), rtol=1e-9)
     assert (np.diff(log_odds(np.array([1.0, 5, 50]), lost[:3], lost[:3], rates, 5e4)) < 0).all()
@@ -369,13 +373,46 @@ def test_odds_are_by_bayes_rule(rng: np.random.Generator):
 def test_looks_alone_say_no_more_than_that_some_look_alike():
     """However alike two look: one of those who were there may be a twin. Little evidence stays."""
     ratio = np.array([-3.0, 0.0, 1.0, 6.0, 60.0])
-    found = among(ratio, 5)
-    twin = TWINS / 5
+    twin = twin_chance(0.0, 0.0, 5)
+    assert twin == TWINS / 5
+    found = among(ratio, twin)
     np.testing.assert_allclose(found, np.log(1 / ((1 - twin) * np.exp(-ratio) + twin)))
     assert found[-1] == pytest.approx(math.log(50))
     assert found[1] == 0
-    assert (among(ratio, 1000)[1:] >= found[1:]).all()
-    assert among(ratio, 1000)[3] > 5
+    many = among(ratio, twin_chance(0.0, 0.0, 1000))
+    assert (many[1:] >= found[1:]).all()
+    assert many[3] > 5
+
+
+def test_how_many_look_alike_is_learned():
+    """By those that are there together, who are surely two."""
+    assert twin_chance(30.0, 100.0, 1) == pytest.approx(0.3, abs=0.02)
+    assert twin_chance(0.0, 100.0, 1) < 0.01
+    assert twin_chance(50.0, 10.0, 1) == 1
+    # A ratio of 9 at odds of 1:9 is an even chance.
+    assert twins_among(np.log([9.0, 9.0]), 0.1) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("alike", "twins"), [(True, 1.0), (False, 0.0)])
+def test_those_that_end_are_compared_with_those_there(alike: bool, twins: float):
+    views = np.eye(3, D)
+    if alike:
+        views[1] = views[0]
+    state = Returns()
+    for k in range(100):
+        labels = [0, 1, 2] if k < 30 else [1, 2]
+        state = after(state, labels, views[labels], k + 1, 0.1 * k)
+    assert state.chances == pytest.approx(2 / 3)
+    assert state.twins == pytest.approx(twins, abs=0.2)
+    chance = twin_chance(state.twins, state.chances, 3)
+    assert state.twin_chance == chance
+    assert (chance > TWINS / 3) == alike
+
+
+def test_how_long_targets_are_away_is_learned():
+    assert mean_away(0.0, 0.0) == RETURN_TIME
+    assert mean_away(500.0, 100.0) == pytest.approx(5.0, abs=1.5)
+    assert mean_away(6000.0, 100.0) == pytest.approx(60.0, abs=3)
 
 
 def test_the_share_that_comes_back_is_learned():
@@ -400,13 +437,15 @@ def test_those_that_probably_came_back_are_no_births():
     found = reidentification.compared(state, looks)
     assert found is not None
     total = found.odds.sum()
-    expected = reidentification.expected_back(state, found)
+    expected, away = reidentification.expected_back(state, found)
     assert expected == pytest.approx(total / (1 + total))
     assert expected > 0.2
+    # Last seen at 2.9 s, again at 6.0 s.
+    assert away == pytest.approx(3.1 * expected)
     later = after(state, [1, 2, 3], views[[1, 2, 0]], 64, 6.3)
     found = reidentification.compared(later, looks_at(6.3))
     assert found is not None
-    assert reidentification.expected_back(later, found) == 0
+    assert reidentification.expected_back(later, found) == (0, 0)
 
 
 def looks_at(time: float, raw: np.ndarray | None = None) -> Looks:
@@ -433,6 +472,7 @@ def after(state: Returns, labels: list[int], views: np.ndarray, frame: int, time
         state, estimates(labels, views), np.arange(n), frame, looks, np.ones(n, np.bool_)
     )
     known = np.arange(max(labels, default=0) + 1)
+    state = reidentification.with_twins(state, looks)
     return forgetting(named(state, Names(known, known + 1)), looks.law.within)
 
 
@@ -491,6 +531,8 @@ def test_memory_is_bounded_with_thousands_of_targets():
     held = reidentification.MOST_LOST
     assert state.lost.label.tolist() == list(range(4900 - held, 4900))
     assert max(sizes) < 1.1 * sizes[25] < 1e6
+    # Of a stream to which many come back.
+    state = replace(state, back=2500.0, away=30.0 * 2500)
     pairs = list[Return]()
     for k in range(50, 53):
         time += 1.0

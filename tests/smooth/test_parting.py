@@ -248,6 +248,30 @@ def test_pairs_of_returns_name_their_detections(monkeypatch: pytest.MonkeyPatch)
     assert len(returns(paths, Sequence.of(measurements, seen(model_of(), within)))) == 1
 
 
+@pytest.mark.parametrize("alike", [False, True])
+def test_where_many_look_alike_looks_say_less(alike: bool, monkeypatch: pytest.MonkeyPatch):
+    """One leaves, and one who looks the same comes 1.6 s later, elsewhere. Two others are there
+    together all the time, who look ``alike``.
+    """
+    # That of these two counts.
+    monkeypatch.setattr("phdtrack.models.returns.PRIOR_TWINS", 0.1)
+    rng = np.random.default_rng(3)
+    upper = walk(rng, 300, (100.0, 60.0), (0.3, 0.0))
+    lower = walk(rng, 300, (100.0, 420.0), (0.3, 0.0))
+    first = walk(rng, 130, (300.0, 240.0), (1.0, 0.0))
+    later = walk(rng, 130, (520.0, 160.0), (0.5, 0.0))
+    pieces = [{n: box[n - 1] for n in range(1, 301)} for box in (upper, lower)]
+    pieces += [{n: first[n - 1] for n in range(1, 131)}]
+    pieces += [{n: later[n - 171] for n in range(171, 301)}]
+    tracks, measurements = sequence(pieces, 300, model_of())
+    objects = []
+    for n in range(1, 301):
+        objects += [0, 0 if alike else 1] + [2] * (not 130 < n < 171)
+    measurements = with_looks(measurements, objects)
+    found = returns(paths_of(tracks, measurements), Sequence.of(measurements, seen(model_of())))
+    assert found == ([] if alike else [((130, 2), (171, 2))])
+
+
 def test_one_frame_alone_has_no_returns():
     boxes = np.array([[100.0, 100, 40, 80], [300, 100, 40, 80]])
     tracks, measurements = sequence([{1: box} for box in boxes], 1, model_of())

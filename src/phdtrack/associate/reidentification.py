@@ -21,7 +21,15 @@ import numpy as np
 
 from phdtrack.kernels.appearance import Looks, likeness, plain
 from phdtrack.kernels.identities import LABELS, Seen, identities_after, nobody
-from phdtrack.models.returns import Rates, among, log_odds, returning_share
+from phdtrack.models.returns import (
+    Rates,
+    among,
+    log_odds,
+    mean_away,
+    returning_share,
+    twin_chance,
+    twins_among,
+)
 from phdtrack.types import F8, I8, Bool, Estimates, Exchange, Return
 
 # Detections of a new target from which on it is compared, and seconds until which it is.
@@ -74,6 +82,9 @@ class Returns:
     begun, time : seconds of the first and of the last frame.
     confirmed : targets confirmed since the first.
     back : how many of these are lost ones that came back, as expected when each was first compared.
+    away : for how many seconds these were away together.
+    twins, chances : how many of those that were lost looked like another one that was there with
+        them, as expected, and how many would if each looked like one of all that were seen.
     """
 
     seen: Seen = field(default_factory=lambda: nobody(0))
@@ -87,6 +98,14 @@ class Returns:
     time: float = math.nan
     confirmed: int = 0
     back: float = 0.0
+    away: float = 0.0
+    twins: float = 0.0
+    chances: float = 0.0
+
+    @property
+    def twin_chance(self) -> float:
+        """The probability that another target looks like a given one."""
+        return twin_chance(self.twins, self.chances, self.confirmed)
 
 
 class Names(NamedTuple):
@@ -114,7 +133,7 @@ def reidentified(
     """
     state, shown = remembering(state, estimates, rows, frame, looks, confirmed)
     if shown.gone or len(state.lost.label):
-        state = forgetting(named(state, names), looks.law.within)
+        state = forgetting(named(with_twins(state, looks), names), looks.law.within)
     change = dict[int, int]()
     if not (shown.undecided or len(shown.pair)):
         return state, change
@@ -125,7 +144,8 @@ def reidentified(
         pairs = []
     else:
         pairs = _given(state, found)
-        state = replace(state, back=state.back + expected_back(state, found))
+        back, away = expected_back(state, found)
+        state = replace(state, back=state.back + back, away=state.away + away)
     for each in swapped:
         change |= zip(each.labels, each.identities[::-1], strict=True)
     for pair in pairs:
@@ -201,6 +221,9 @@ def remembering(
         time,
         state.confirmed + counts[0],
         state.back,
+        state.away,
+        state.twins,
+        state.chances,
     )
     return after, Shown(pair, odds, *counts[1:])
 
@@ -236,7 +259,7 @@ def named(state: Returns, names: Names) -> Returns:
         identity[unnamed] = _identities(names, seen.label[unnamed])
         seen = seen._replace(identity=identity)
     lost = state.lost
-    old = gone & (seen.last < state.time - DOUBT)
+    old = _ended(state)
     if old.any():
         lost = lost.followed_by(seen.select(old & (seen.identity > 0)))
         seen = seen.select(~old)
@@ -366,11 +389,38 @@ def compared(state: Returns, looks: Looks) -> Compared | None:
     return Compared(new, lost, _odds(state, new, lost, looks))
 
 
-def expected_back(state: Returns, found: Compared) -> float:
-    """How many of the targets that are compared for the first time are lost ones, as expected."""
+def expected_back(state: Returns, found: Compared) -> tuple[float, float]:
+    """How many of the targets that are compared for the first time are lost ones, as expected, and
+    for how many seconds these were away together.
+    """
     first = state.seen.detections[found.new] == LEAST_SEEN
-    each = found.odds[first].sum(axis=1)
-    return float((each / (1 + each)).sum())
+    odds = found.odds[first]
+    share = odds / (1 + odds.sum(axis=1, keepdims=True))
+    gap = state.seen.first[found.new[first]][:, None] - found.lost.last
+    return float(share.sum()), float((share * np.maximum(gap, 0.0)).sum())
+
+
+def with_twins(state: Returns, looks: Looks) -> Returns:
+    """The state after the targets that are among the lost from now on were compared with those that
+    were there with them, and so are others.
+    """
+    seen = state.seen
+    ended = _ended(state)
+    if looks.law.means_weight <= 0 or not ended.any():
+        return state
+    a, b = np.nonzero(ended[:, None] & seen.alive & (seen.first < seen.last[:, None]))
+    ratio = likeness(seen.mean, seen.number, a, b, plain(looks))
+    return replace(
+        state,
+        twins=state.twins + twins_among(ratio, state.twin_chance),
+        chances=state.chances + len(a) / max(state.confirmed, 1),
+    )
+
+
+def _ended(state: Returns) -> Bool:
+    """(K,) which of the targets are followed no more, and have not been for long."""
+    ended: Bool = ~state.seen.alive & (state.seen.last < state.time - DOUBT)
+    return ended
 
 
 def given_back(state: Returns, looks: Looks) -> list[Return]:
@@ -414,9 +464,7 @@ def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
     mean = np.concatenate([lost.mean, seen.mean[new]])
     number = np.concatenate([lost.number, seen.number[new]])
     ratio = likeness(mean, number, b, len(lost.label) + a, plain(looks))
-    ratio = among(ratio, state.confirmed)
-    left, top, right, bottom = state.extent
-    area = max((right - left) * (bottom - top), 1.0)
+    ratio = among(ratio, state.twin_chance)
     # Old pairs and lost targets are forgotten, but have ended all the same.
     ended = max(
         len(state.pairs) + len(lost.label), state.confirmed - int(np.count_nonzero(seen.alive))
@@ -425,11 +473,18 @@ def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
     rates = Rates(
         max(state.confirmed - state.back, 1.0) / max(state.time - state.begun, 1.0),
         returning_share(state.back, ended),
+        mean_away(state.away, state.back),
     )
-    prior = log_odds(gap.ravel(), lost.xyxy[b], seen.xyxy[new][a], rates, area)
+    prior = log_odds(gap.ravel(), lost.xyxy[b], seen.xyxy[new][a], rates, _area(state))
     odds: F8 = np.exp(prior + ratio).reshape(gap.shape)
     odds[gap > looks.law.within] = 0.0
     return odds
+
+
+def _area(state: Returns) -> float:
+    """Pixels² in which targets were."""
+    left, top, right, bottom = state.extent
+    return max((right - left) * (bottom - top), 1.0)
 
 
 def taken(state: Returns, pairs: list[Return]) -> Returns:

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels.association import best_pairs
-from phdtrack.models.returns import RETURN, Rates, among, log_odds
+from phdtrack.models.returns import RETURN, Rates, among, log_odds, twin_chance, twins_among
 from phdtrack.models.rts import predict
 from phdtrack.smooth.looks import SequenceLooks
 from phdtrack.smooth.paths import Paths, joined
@@ -42,6 +42,10 @@ from phdtrack.types import F4, F8, I8, MeasurementHistory
 
 # Tracks whose beginnings are compared with all ends at a time.
 _BLOCK = 256
+# Seconds for which paths of two targets are there together, at least, and the rounds in which it is
+# learned how many of these look alike.
+_TOGETHER = 4.0
+_ROUNDS = 10
 
 
 class Stitching(NamedTuple):
@@ -207,6 +211,7 @@ def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tup
     # What looks like nothing in particular is left to the motion.
     law = ends.looks.frame.law
     ended = (ends.number[: len(paths)] > 0) & (law.means_weight > 0)
+    twin = _twin_chance(ends, begin, end)
     good = list[tuple[I8, I8, F8]]()
     began = np.flatnonzero(ends.number[len(paths) :] > 0)
     # In blocks, as all pairs of thousands of tracks would take much memory.
@@ -216,7 +221,7 @@ def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tup
         after = block[column]
         gaps = gap[before, column]
         odds = log_odds(gaps, boxes[last[before]], boxes[first[after]], rates, area)
-        odds += among(ends.likeness(before, after), len(paths))
+        odds += among(ends.likeness(before, after), twin)
         kept = odds > 0
         good.append((before[kept], after[kept], odds[kept]))
     if not good:
@@ -231,6 +236,25 @@ def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tup
         (_name(measurements, last[k]), _name(measurements, first[successor[k]]))
         for k in np.flatnonzero(successor >= 0).tolist()
     ]
+
+
+def _twin_chance(ends: _Ends, begin: F8, end: F8) -> float:
+    """The probability that another target looks like a given one, by the paths that were there
+    together [APP (5)]; ``begin``, ``end`` (K,): their seconds.
+    """
+    ratios = list[F8]()
+    for block in (slice(k, k + _BLOCK) for k in range(0, len(begin), _BLOCK)):
+        common = np.minimum(end[:, None], end[block]) - np.maximum(begin[:, None], begin[block])
+        before, column = np.nonzero(common > _TOGETHER)
+        after = block.start + column
+        once = before < after
+        ratios.append(ends.likeness(before[once], after[once]))
+    ratio = np.concatenate(ratios)
+    found = 0.0
+    for _ in range(_ROUNDS):
+        twin = twin_chance(found, len(ratio) / len(begin), len(begin))
+        found = twins_among(ratio, twin)
+    return twin
 
 
 def _name(measurements: MeasurementHistory, column: int) -> tuple[int, int]:
