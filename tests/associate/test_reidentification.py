@@ -388,7 +388,8 @@ def test_how_many_look_alike_is_learned():
     """By those that are there together, who are surely two."""
     assert twin_chance(30.0, 100.0, 1) == pytest.approx(0.3, abs=0.02)
     assert twin_chance(0.0, 100.0, 1) < 0.01
-    assert twin_chance(50.0, 10.0, 1) == 1
+    # No more than all of them look like another one.
+    assert twin_chance(50.0, 10.0, 20) == 1 / 20
     # A ratio of 9 at odds of 1:9 is an even chance.
     assert twins_among(np.log([9.0, 9.0]), 0.1) == pytest.approx(1.0)
 

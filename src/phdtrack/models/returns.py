@@ -73,7 +73,7 @@ def twin_chance(found: float, chances: float, people: int) -> float:
     people : how many there were.
     """
     share = (found + PRIOR_TWINS * TWINS) / (chances + PRIOR_TWINS)
-    return min(share / max(people, 1), 1.0)
+    return min(share, 1.0) / max(people, 1)
 
 
 def twins_among(ratio: F8, twin: float) -> float:
