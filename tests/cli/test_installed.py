@@ -381,9 +381,9 @@ def test_the_first_blocks_of_the_readme_can_be_pasted_one_by_one(alone: Alone) -
                 for name in ("MOTA", "IDF1")
             )
             said = " ".join(done.stdout.split())
+            # A share that rounds to 0 is not told.
             doubtful = re.search(r"about ([\d.]+) % of the boxes are in doubtful", said)
-            assert doubtful, said
-            found.append((objects, mota, idf1, doubtful[1]))
+            found.append((objects, mota, idf1, doubtful[1] if doubtful else 0.0))
     # What the story of the README says; another version of OpenCV smooths a little otherwise.
     share = int(re.search(r"(\d+) % of the boxes are doubtful", text)[1])
     said = re.findall(r"\| (\d+) \| (\.\d{3}) \| (\.\d{3}) \|$", text, re.MULTILINE)
