@@ -97,6 +97,22 @@ def test_minutes_count_who_was_there_and_who_came() -> None:
     assert minutes([], np.zeros(0), np.zeros(0, np.int64), 60.0) == []
 
 
+@pytest.mark.parametrize("away", [1e3, 1e9, 1e12])
+def test_minutes_without_a_frame_are_left_out(away: float) -> None:
+    """And each frame is in one minute, wherever rounding puts its edge."""
+    rng = np.random.default_rng(1)
+    times = np.sort(np.concatenate([np.arange(0, 120, 0.1), away + rng.uniform(0, 200, 900)]))
+    count = rng.integers(0, 4, len(times))
+    rows = minutes([], times, count, 60.0)
+    assert 5 <= len(rows) <= 7
+    assert [row.start for row in rows[:2]] == [0.0, 60.0]
+    seen = [np.count_nonzero((times >= row.start) & (times < row.start + 60)) for row in rows]
+    assert min(seen) > 0
+    assert sum(seen) == len(times)
+    total = sum(row.mean * frames for row, frames in zip(rows, seen, strict=True))
+    assert total == pytest.approx(count.sum())
+
+
 @pytest.mark.parametrize(
     ("total", "unit"),
     [

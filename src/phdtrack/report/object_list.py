@@ -128,7 +128,7 @@ def objects(
 
 
 def minutes(found: Sequence[Seen], times: F8, track_count: I8, width: float) -> list[Minute]:
-    """How many objects there were in each stretch of ``width`` seconds.
+    """How many objects there were in each stretch of ``width`` seconds that has a frame.
 
     Parameters
     ----------
@@ -139,16 +139,20 @@ def minutes(found: Sequence[Seen], times: F8, track_count: I8, width: float) -> 
     """
     if not len(times):
         return []
-    count = math.floor((times[-1] - times[0]) / width) + 1
-    # Millions of stretches, of a recording with a row years away, take no loop.
-    edges = times[0] + np.arange(count + 1) * width
-    first = np.sort([one.first for one in found]).searchsorted(edges)
-    gone = np.sort([one.last for one in found]).searchsorted(edges)
-    frames = times.searchsorted(edges)
-    total = np.concatenate([[0], np.cumsum(track_count)])[frames]
-    seen = np.diff(frames)
-    mean = np.divide(np.diff(total), seen, out=np.full(count, np.nan), where=seen > 0)
-    columns = (edges[:-1], first[1:] - gone[:-1], np.diff(first), mean)
+    # A recording with a row years away has millions of stretches without a frame. By rounding a
+    # frame may lie in a stretch beside its own.
+    near = np.unique(np.floor((times - times[0]) / width).astype(np.int64))
+    stretch = np.unique(np.concatenate([near - 1, near, near + 1]))
+    begin, end = (times[0] + number * width for number in (stretch, stretch + 1))
+    frames, frames_end = (times.searchsorted(edge) for edge in (begin, end))
+    some = frames_end > frames
+    begin, end, frames, frames_end = (one[some] for one in (begin, end, frames, frames_end))
+    first = np.sort([one.first for one in found])
+    last = np.sort([one.last for one in found])
+    total = np.concatenate([[0], np.cumsum(track_count)])
+    mean = (total[frames_end] - total[frames]) / (frames_end - frames)
+    come = first.searchsorted(end)
+    columns = (begin, come - last.searchsorted(begin), come - first.searchsorted(begin), mean)
     return [Minute(*row) for row in zip(*(one.tolist() for one in columns), strict=True)]
 
 
