@@ -264,18 +264,7 @@ class Model:
         ----------
         clutter : κ(z).
         """
-        return Model(
-            self.motion,
-            self.sensor,
-            self.birth,
-            clutter,
-            self.rate,
-            self.first,
-            self.warp,
-            self.pace,
-            self.births_before,
-            self.appearance,
-        )
+        return self._of_frame(clutter, self.warp, self.appearance)
 
     def with_warp(self, warp: F8) -> Model:
         """The same model after another motion of the camera.
@@ -284,18 +273,7 @@ class Model:
         ----------
         warp : (3, 3), or `types.STILL`.
         """
-        return Model(
-            self.motion,
-            self.sensor,
-            self.birth,
-            self.clutter,
-            self.rate,
-            self.first,
-            warp,
-            self.pace,
-            self.births_before,
-            self.appearance,
-        )
+        return self._of_frame(self.clutter, warp, self.appearance)
 
     def with_appearance(self, appearance: Looks | None) -> Model:
         """The same model with what the measurements of another frame look like.
@@ -304,14 +282,20 @@ class Model:
         ----------
         appearance : `Model.appearance`.
         """
+        return self._of_frame(self.clutter, self.warp, appearance)
+
+    def _of_frame(self, clutter: Clutter, warp: F8, appearance: Looks | None) -> Model:
+        """The same model with what may differ in each frame; `dataclasses.replace` takes several
+        times as long.
+        """
         return Model(
             self.motion,
             self.sensor,
             self.birth,
-            self.clutter,
+            clutter,
             self.rate,
             self.first,
-            self.warp,
+            warp,
             self.pace,
             self.births_before,
             appearance,

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -128,41 +129,39 @@ class FalseTrackRejection(Checked, Generic[A]):
 
     def _judged(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Tracks]:
         """The rows, confirmed or not by their tracks' ratios, frame by frame."""
-        if len(rows) == 0:
-            return state, rows
-        frame = rows.frame
-        if frame[0] == frame[-1] and (frame == frame[0]).all():
-            state, confirmed = self._confirmed(state, rows)
-            return state, replace(rows, confirmed=confirmed)
         confirmed = rows.confirmed.copy()
-        for number in np.unique(frame):
-            here = np.flatnonzero(frame == number)
-            state, confirmed[here] = self._confirmed(state, rows.select(here))
+        begins = np.flatnonzero(np.diff(rows.frame)) + 1
+        for begin, end in pairwise((0, *begins.tolist(), len(rows))):
+            here = slice(begin, end)
+            state, confirmed[here] = self._confirmed(state, rows, here)
         return state, replace(rows, confirmed=confirmed)
 
-    def _confirmed(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Bool]:
-        """The state with the rows of a frame, and which of them are confirmed. Confirmed tracks are
-        not asked for again.
+    def _confirmed(
+        self, state: RejectionState[A], rows: Tracks, here: slice
+    ) -> tuple[RejectionState[A], Bool]:
+        """The state with the rows of a frame, which are ``here``, and which of them are confirmed.
+        Confirmed tracks are not asked for again.
         """
+        identity = rows.identity[here]
+        of_associator = rows.confirmed[here]
         least, confirmed = genuine_so_far(
-            state.identity, state.least, rows.identity, rows.confirmed, self._limit
+            state.identity, state.least, identity, of_associator, self._limit
         )
-        asked = np.flatnonzero(~confirmed & (rows.detection >= 0))
+        asked = np.flatnonzero(~confirmed & (rows.detection[here] >= 0))
         if len(asked) == 0:
             return state, confirmed
-        least[:, asked] = np.minimum(least[:, asked], self.ratio.log(to_cxcywh(rows.xyxy[asked])))
-        others = ~np.isin(state.identity, rows.identity[asked])
-        identity = np.concatenate((state.identity[others], rows.identity[asked]))
+        boxes = to_cxcywh(rows.xyxy[here][asked])
+        least[:, asked] = np.minimum(least[:, asked], self.ratio.log(boxes))
+        others = ~np.isin(state.identity, identity[asked])
+        known = np.concatenate((state.identity[others], identity[asked]))
         values = np.concatenate((state.least[:, others], least[:, asked]), axis=1)
-        order = np.argsort(identity)
+        order = np.argsort(known)
         # The oldest that are not in this frame are forgotten.
-        spare = np.flatnonzero(~np.isin(identity[order], rows.identity))[
-            : max(len(identity) - KEPT, 0)
-        ]
+        spare = np.flatnonzero(~np.isin(known[order], identity))[: max(len(known) - KEPT, 0)]
         order = np.delete(order, spare)
-        state = RejectionState(state.inner, identity[order], values.take(order, axis=1))
+        state = RejectionState(state.inner, known[order], values.take(order, axis=1))
         _, confirmed = genuine_so_far(
-            state.identity, state.least, rows.identity, rows.confirmed, self._limit
+            state.identity, state.least, identity, of_associator, self._limit
         )
         return state, confirmed
 

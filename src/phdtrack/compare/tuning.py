@@ -253,7 +253,9 @@ def check_truth(plan: Plan) -> None:
     if len({case.sequence for case in plan.cases}) > 1:
         return
     for case in plan.cases:
-        annotated = len(_annotated_frames(case))
+        assert case.truth is not None
+        truth = read_truth(case.truth, conventions=case.reading[0], notices=[])
+        annotated = len(_annotated_frames(truth))
         least = PARTS * _FEWEST_FRAMES
         if annotated < least:
             raise InputError(
@@ -264,10 +266,8 @@ def check_truth(plan: Plan) -> None:
             )
 
 
-def _annotated_frames(case: Case) -> I8:
+def _annotated_frames(truth: Truth) -> I8:
     """The numbers of the frames in which objects are annotated, ascending."""
-    assert case.truth is not None
-    truth = read_truth(case.truth, conventions=case.reading[0], notices=[])
     return np.unique(truth.frame[~truth.distractor])
 
 
@@ -322,7 +322,7 @@ def _parts(comparison: Comparison, case: Case) -> _Parts:
     plan = comparison.plan
     read = run_input(Run(case, plan.rates[0], plan.methods[0], plan.seeds[0]), comparison.folder)
     assert read.truth is not None
-    annotated = _annotated_frames(case)
+    annotated = _annotated_frames(read.truth)
     scored = read.labelled
     if not len(scored):
         scored = np.arange(1, read.info.frames + 1)

@@ -107,19 +107,15 @@ def log_odds(gap: F8, lost: F8, new: F8, rates: Rates, area: float) -> F8:
     area : pixels² in which targets appear.
     """
     apart = np.maximum(gap, 0.0)
-    place = NEARBY * nearness(gap, lost, new, area) + 1 - NEARBY
+    place = NEARBY * _nearness(gap, lost, new, area) + 1 - NEARBY
     back = rates.back / rates.away * np.exp(-apart / rates.away) * place / rates.births
     out: F8 = np.where(gap > 0, np.log(np.maximum(back, 1e-300)), -np.inf)
     return out
 
 
-def nearness(gap: F8, lost: F8, new: F8, area: float) -> F8:
+def _nearness(gap: F8, lost: F8, new: F8, area: float) -> F8:
     """(P,) how many times as probable the place of a new target is if it came back near where it
-    was lost than if it may be anywhere.
-
-    Parameters
-    ----------
-    gap, lost, new, area : as of `log_odds`.
+    was lost than if it may be anywhere; arguments as of `log_odds`.
     """
     height = lost[:, 3] - lost[:, 1]
     step = (new[:, :2] + new[:, 2:] - lost[:, :2] - lost[:, 2:]) / 2

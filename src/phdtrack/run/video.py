@@ -129,8 +129,9 @@ def _run(run: Run, advance: Advance) -> RunResult:
         lesson = SceneLesson((run.inputs.info.width, run.inputs.info.height), kept)
     progress = _track(run, advance, lesson)
     tracked = time.perf_counter()
-    compiling = _CompilingTime()
-    with event.install_listener("numba:compiler_lock", compiling):
+    # Seconds in which kernels are compiled or loaded are none of the run's speed.
+    compiling = list[float]()
+    with event.install_timer("numba:compiler_lock", compiling.append):
         return_memory()
         _raise_if_nothing(run, progress)
         tracks = _smoothed(run, progress)
@@ -156,7 +157,7 @@ def _run(run: Run, advance: Advance) -> RunResult:
         scored = score_run(run, progress, tracks)
         if run.options.video:
             draw_videos(run, progress, tracks, advance)
-    finishing = time.perf_counter() - tracked - compiling.seconds
+    finishing = time.perf_counter() - tracked - sum(compiling)
     return_memory()
     advance(progress.frames, total=progress.frames, description="report")
     seconds = (time.perf_counter() - began, finishing)
@@ -315,28 +316,6 @@ class _Record:
             progress.signs.see(tracked.step.number)
         progress.frames += 1
         progress.shakes = progress.shakes or len(detected.pose) > 0
-
-
-# Numba has no types.
-class _CompilingTime(event.Listener):  # type: ignore[misc]
-    """Adds up the seconds in which kernels are compiled or loaded, by any thread."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-        self._depth = 0
-        self._began = 0.0
-
-    def on_start(self, event: event.Event) -> None:
-        """Numba takes its lock, perhaps once more."""
-        if self._depth == 0:
-            self._began = time.perf_counter()
-        self._depth += 1
-
-    def on_end(self, event: event.Event) -> None:
-        """It returns the lock."""
-        self._depth -= 1
-        if self._depth == 0:
-            self.seconds += time.perf_counter() - self._began
 
 
 class _Pace:

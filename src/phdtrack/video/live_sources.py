@@ -19,7 +19,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 from urllib.parse import urlsplit
@@ -323,10 +323,8 @@ class LiveSource:
 
     def _camera(self, index: int) -> Iterator[Image]:
         """The pictures of a camera of this machine."""
-        # OpenCV would print a line each time that there is none: the status says so.
-        with suppress(AttributeError):
-            cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        capture = cv2.VideoCapture(index)
+        with _without_log():
+            capture = cv2.VideoCapture(index)
         try:
             if not capture.isOpened():
                 raise OSError(f"camera {index} cannot be opened")
@@ -337,6 +335,20 @@ class LiveSource:
                 yield np.asarray(image, np.uint8)
         finally:
             capture.release()
+
+
+@contextmanager
+def _without_log() -> Iterator[None]:
+    """Keep OpenCV from printing lines about a camera that is not there: the status says so."""
+    log = getattr(cv2.utils, "logging", None)
+    if log is None:
+        yield
+        return
+    before = log.setLogLevel(log.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        log.setLogLevel(before)
 
 
 class _Backlog:
