@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
+import multiprocessing
 import os
 import re
 import subprocess
@@ -285,7 +286,9 @@ def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: 
     _say(f"{label}: {len(jobs)} runs, {processes} at a time")
     began = last_line = time.perf_counter()
     terminal = sys.stderr.isatty()
-    with ProcessPoolExecutor(max_workers=processes) as pool:
+    # Fresh processes: a copy of this one would wait for OpenCV's threads, which are not copied.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, context) as pool:
         futures = [pool.submit(_noted, work, job) for job in jobs]
         for done, future in enumerate(as_completed(futures), start=1):
             if future.exception() is not None:
