@@ -189,7 +189,7 @@ def test_odds_are_those_of_the_four_likelihoods(rng: np.random.Generator):
     both = np.vstack([own, lately]).astype(np.float32)
     number = np.array([9.0] * 3 + [2.0] * 3)
     before, after = np.indices((3, 3)).reshape(2, -1)
-    fits = likeness(both, number, before, 3 + after, plain(looks_of())).reshape(3, 3)
+    fits = likeness(both, number, np.zeros(6), before, 3 + after, plain(looks_of())).reshape(3, 3)
     ratios = np.array(
         [
             fits[0, 1] + fits[1, 0] - fits[0, 0] - fits[1, 1],
@@ -206,7 +206,9 @@ def test_odds_are_those_of_the_four_likelihoods(rng: np.random.Generator):
         assert possible.all() == (prior[0] > 0)
     unseen = state.seen._replace(lately_number=np.array([2.0, 1.0, 2.0]))
     odds = odds_of(replace(state, seen=unseen), 30.0, 30.0)
-    assert np.isneginf(odds).tolist() == [True, False, True]
+    # Of the hidden one nothing is known, and no pair of two of whom nothing is.
+    assert np.isneginf(odds).tolist() == [False, False, True]
+    np.testing.assert_allclose(odds[0], 30.0 + fits[1, 0] - fits[0, 0], rtol=1e-6)
 
 
 def test_exchanges_are_doubted_where_looks_change_places(rng: np.random.Generator):
@@ -243,6 +245,16 @@ def test_a_target_takes_the_identity_of_a_lost_one():
     state = replace(state, seen=seen, extent=(0, 0, 100, 100), begun=-100.0, confirmed=3)
     (back,) = given_back(state, looks_of())
     assert (back.earlier, back.later, back.identity) == (5, 7, 11)
+
+
+def test_a_target_takes_the_identity_of_a_hidden_one():
+    """The other one is followed, but others cover it: what it looks like now is not known."""
+    own = np.eye(3, D)
+    state = state_of(own, own[[1, 1, 2]], [True, True, True])
+    hidden = state.seen._replace(lately_number=np.array([2.0, 1.0, 2.0]))
+    (found,) = exchanges(replace(state, seen=hidden), 77, NAMES)
+    assert found.labels == (3, 5)
+    assert found.identities == (11, 12)
 
 
 def test_pairs_of_somebody_forgotten_do_nothing():

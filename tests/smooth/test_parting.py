@@ -194,6 +194,8 @@ def test_who_looks_like_another_for_a_while_is_still_the_same(odd: range, tracks
     measurements = with_looks(measurements, [int(n in odd) for n in range(1, 401)])
     pieces = pieces_of(tracks, measurements)
     assert len(np.unique(pieces.identity)) == tracks_after
+    whole = SMOOTHING.smooth(tracks, measurements, seen(model_of()))
+    assert len(np.unique(whole.identity)) == tracks_after
 
 
 def test_a_few_odd_views_part_no_track():

@@ -22,6 +22,7 @@ import numpy as np
 from phdtrack.kernels.appearance import Looks, likeness, plain
 from phdtrack.kernels.identities import LABELS, Seen, identities_after, nobody
 from phdtrack.models.returns import (
+    EXCHANGED,
     Rates,
     among,
     log_odds,
@@ -49,9 +50,8 @@ LATELY_FRAMES = 3.0
 # possible that they have exchanged identities.
 LARGER = 0.25
 DOUBT = 5.0
-# The log odds that two that have met have exchanged identities, and that one has that of the other,
-# which has not been followed since. Errors of looks in a meeting last, so that these are low.
-EXCHANGED = -4.5
+# The log odds that one of two that have met has the identity of the other, which has not been
+# followed since.
 EXCHANGED_WITH_LOST = -6.0
 # Independent descriptors of how a target looks just now that this needs.
 LEAST_LATELY = 1.5
@@ -409,7 +409,7 @@ def with_twins(state: Returns, looks: Looks) -> Returns:
     if looks.law.means_weight <= 0 or not ended.any():
         return state
     a, b = np.nonzero(ended[:, None] & seen.alive & (seen.first < seen.last[:, None]))
-    ratio = likeness(seen.mean, seen.number, a, b, plain(looks))
+    ratio = likeness(seen.mean, seen.number, np.zeros(len(seen.number)), a, b, plain(looks))
     return replace(
         state,
         twins=state.twins + twins_among(ratio, state.twin_chance),
@@ -463,7 +463,7 @@ def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
     a, b = np.indices(gap.shape).reshape(2, -1)
     mean = np.concatenate([lost.mean, seen.mean[new]])
     number = np.concatenate([lost.number, seen.number[new]])
-    ratio = likeness(mean, number, b, len(lost.label) + a, plain(looks))
+    ratio = likeness(mean, number, np.zeros(len(number)), b, len(lost.label) + a, plain(looks))
     ratio = among(ratio, state.twin_chance)
     # Old pairs and lost targets are forgotten, but have ended all the same.
     ended = max(

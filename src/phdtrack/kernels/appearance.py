@@ -365,12 +365,13 @@ def typical_ratios(past: tuple[F4, F8, F8], before: I8, measurement: I8, looks: 
 
 
 @njit(**ENTRY)
-def likeness(mean: F4, number: F8, before: I8, after: I8, looks: Looks) -> F8:
+def likeness(mean: F4, number: F8, seconds: F8, before: I8, after: I8, looks: Looks) -> F8:
     """(P,) log p(s | the same object)/p(s | another object) of two means each, ``before`` and
     ``after`` (P,), s their similarity [APP (5)]; 0 where one of them is not known.
 
     ``mean`` (M, D): of descriptors. ``number`` (M,): of how many independent ones, 0 where nothing
-    is known.
+    is known. ``seconds`` (M,): for how long an object must have looked odd if that is why the two
+    differ, the shorter time of both.
     """
     looks = named(looks)
     direction = directions(mean, looks.mean)
@@ -378,19 +379,27 @@ def likeness(mean: F4, number: F8, before: I8, after: I8, looks: Looks) -> F8:
     for q in range(before.size):
         a = before[q]
         b = after[q]
-        out[q] = ratio_of_means(direction, a, number[a], direction, b, number[b], looks.law)
+        odd = min(seconds[a], seconds[b])
+        out[q] = ratio_of_means(direction, a, number[a], direction, b, number[b], odd, looks.law)
     return out
 
 
 @njit(**INNER)
 def ratio_of_means(
-    before: F4, a: int, before_number: float, after: F4, b: int, after_number: float, law: Law
+    before: F4,
+    a: int,
+    before_number: float,
+    after: F4,
+    b: int,
+    after_number: float,
+    seconds: float,
+    law: Law,
 ) -> float:
     """log p(s | the same object)/p(s | another object) of mean a of ``before`` and mean b of
     ``after``, s their similarity [APP (5)]; 0 where one of them is not known.
 
     ``before``, ``after``: of `directions`. ``before_number``, ``after_number``: of how many
-    independent descriptors each is the mean.
+    independent descriptors each is the mean. ``seconds``: as of `likeness`.
     """
     if not (before_number > 0.0 and after_number > 0.0 and law.means_weight > 0.0):
         return 0.0
@@ -399,7 +408,8 @@ def ratio_of_means(
     same = law.means_same
     same /= math.sqrt((1.0 + errors / before_number) * (1.0 + errors / after_number))
     gain = math.exp(_gain(s, same, law.means_deviation, law.means_other, law.means_other_deviation))
-    return law.means_weight * math.log((1.0 - CHANCE) * gain + CHANCE)
+    odd = CHANCE * math.exp(-seconds / ODD_TIME)
+    return law.means_weight * math.log((1.0 - odd) * gain + odd)
 
 
 @njit(**ENTRY)

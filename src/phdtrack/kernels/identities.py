@@ -466,11 +466,14 @@ def exchange_odds(seen: tuple[Any, ...], met: I8, looks: Looks, rules: tuple[Any
             continue
         if not (seen_now[a] or seen_now[b]):
             continue
-        if not (seen_now[a] or _is_lost(known, a, looks.time, rules.doubt)):
+        # One that is hidden just now says nothing; it may have the other's identity all the same.
+        both = known.alive[a] and known.alive[b]
+        earliest = looks.time - rules.doubt
+        if not (known.alive[a] or known.last[a] >= earliest):
             continue
-        if not (seen_now[b] or _is_lost(known, b, looks.time, rules.doubt)):
+        if not (known.alive[b] or known.last[b] >= earliest):
             continue
-        odds = rules.exchanged if seen_now[a] and seen_now[b] else rules.exchanged_with_lost
+        odds = rules.exchanged if both else rules.exchanged_with_lost
         odds -= looks.law.doubt + seen_now[a] * fits[a] + seen_now[b] * fits[b]
         # No ratio of likelihoods is larger than this.
         if odds + (seen_now[a] + seen_now[b]) * MOST <= 0.0:
@@ -484,12 +487,6 @@ def exchange_odds(seen: tuple[Any, ...], met: I8, looks: Looks, rules: tuple[Any
 
 
 @njit(**INNER)
-def _is_lost(known: Seen, a: int, time: float, doubt: float) -> bool:
-    """True if target a is followed no more, and was detected not long ago."""
-    return bool(not known.alive[a] and known.last[a] >= time - doubt)
-
-
-@njit(**INNER)
 def _is_seen(known: Seen, a: int, time: float, least: float) -> bool:
     """True if target a is detected now and enough is known of how it looks."""
     return bool(known.alive[a] and known.last[a] == time and known.lately_number[a] >= least)
@@ -499,5 +496,7 @@ def _is_seen(known: Seen, a: int, time: float, least: float) -> bool:
 def _fit(known: Seen, directions_of: tuple[F4, F4], a: int, b: int, law: Law) -> float:
     """The log-likelihood ratio that target a, as it looks just now, has the identity of b."""
     own, lately = directions_of
-    ratio: float = ratio_of_means(own, b, known.number[b], lately, a, known.lately_number[a], law)
+    ratio: float = ratio_of_means(
+        own, b, known.number[b], lately, a, known.lately_number[a], 0.0, law
+    )
     return ratio

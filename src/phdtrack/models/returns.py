@@ -36,6 +36,10 @@ PRIOR_BACK = 5.0
 NEARBY = 0.5
 DRIFT = 1.0
 
+# The log odds that two that have met have exchanged identities. Errors of looks in a meeting last,
+# so that these are low.
+EXCHANGED = -4.5
+
 
 class Rates(NamedTuple):
     """How often targets are new and come back.

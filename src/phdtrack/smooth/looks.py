@@ -58,13 +58,14 @@ class SequenceLooks:
         kept = math.exp(-self.interval / self.frame.law.independent)
         return np.maximum(count * (1 - kept) / (1 + kept), np.minimum(count, 1.0))
 
-    def likeness(self, mean: F4, number: F8, before: I8, after: I8) -> F8:
+    def likeness(self, mean: F4, number: F8, seconds: F8, before: I8, after: I8) -> F8:
         """(P,) log-likelihood ratios that two means are of one object; 0 where one is not known.
 
         Parameters
         ----------
         mean, number : (M, D), (M,) means, and of how many independent descriptors each is.
+        seconds : (M,) for how long an object must have looked odd if that is why means differ.
         before, after : (P,) which means are compared.
         """
-        ratio: F8 = likeness(mean, number, before, after, plain(self.frame))
+        ratio: F8 = likeness(mean, number, seconds, before, after, plain(self.frame))
         return ratio

@@ -162,6 +162,8 @@ def _ratios(known: SequenceLooks, column: I8, time: F8, horizon: float) -> F8:
     count = np.concatenate([before, after])
     means /= np.maximum(count, 1e-9)[:, None]
     number = known.independent(count)
-    ratio = known.likeness(means.astype(np.float32), number, here - 1, n - 1 + here - 1)
+    # Not by how long each side is: that would part a track in its middle.
+    odd = np.zeros(len(number))
+    ratio = known.likeness(means.astype(np.float32), number, odd, here - 1, n - 1 + here - 1)
     enough = (number[: n - 1] >= LEAST) & (number[n - 1 :] >= LEAST)
     return np.where(enough, ratio, 0.0)

@@ -44,6 +44,13 @@ class Paths:
         """(M,) the path of each row."""
         return np.repeat(np.arange(len(self)), np.diff(self.start))
 
+    def track_of(self, measurements: MeasurementHistory) -> I8:
+        """(Z,) the path that has each measurement, −1 for none."""
+        out: I8 = np.full(measurements.z.shape[1], -1)
+        seen = self.measurement >= 0
+        out[self.measurement[seen]] = self.path[seen]
+        return out
+
     def select(self, mask: Bool) -> Paths:
         """The paths for which ``mask`` (K,) is True."""
         rows = mask[self.path]

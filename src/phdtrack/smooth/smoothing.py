@@ -94,6 +94,7 @@ class Smoothing:
         """The tracks whose ``paths`` are stitched, smoothed and extended."""
         sequence = Sequence.of(measurements, model)
         if self.stitching:
+            whole = paths.track_of(measurements)
             pieces = parted(tracks, paths, sequence)
             if pieces is not tracks:
                 tracks = pieces
@@ -104,7 +105,7 @@ class Smoothing:
                 self.max_overlap_time * model.rate,
                 self.reentry_probability,
             )
-            paths, states = stitched(paths, sequence, settings)
+            paths, states = stitched(paths, sequence, settings, whole)
         else:
             states = sequence.smooth(paths)
         if self.existence:

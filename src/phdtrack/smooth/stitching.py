@@ -33,12 +33,20 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels.association import best_pairs
-from phdtrack.models.returns import RETURN, Rates, among, log_odds, twin_chance, twins_among
+from phdtrack.models.returns import (
+    EXCHANGED,
+    RETURN,
+    Rates,
+    among,
+    log_odds,
+    twin_chance,
+    twins_among,
+)
 from phdtrack.models.rts import predict
 from phdtrack.smooth.looks import SequenceLooks
 from phdtrack.smooth.paths import Paths, joined
 from phdtrack.smooth.sequence import Sequence, Smoothed
-from phdtrack.types import F4, F8, I8, MeasurementHistory
+from phdtrack.types import F4, F8, I8, Bool, MeasurementHistory
 
 # Tracks whose beginnings are compared with all ends at a time.
 _BLOCK = 256
@@ -84,7 +92,9 @@ class _Pairs(NamedTuple):
     odds: F8
 
 
-def stitched(paths: Paths, sequence: Sequence, settings: Stitching) -> tuple[Paths, Smoothed]:
+def stitched(
+    paths: Paths, sequence: Sequence, settings: Stitching, whole: I8 | None = None
+) -> tuple[Paths, Smoothed]:
     """Join the paths of one target, and smooth the states of all rows.
 
     Parameters
@@ -92,10 +102,11 @@ def stitched(paths: Paths, sequence: Sequence, settings: Stitching) -> tuple[Pat
     paths : the trajectories.
     sequence : their measurements.
     settings : the parameters of stitching.
+    whole : (Z,) the track that had each measurement before tracks were parted, −1 for none.
     """
     states = sequence.smooth(paths)
     while len(paths) > 1:
-        after = best_successors(*candidates(paths, states, sequence, settings), len(paths))
+        after = best_successors(*candidates(paths, states, sequence, settings, whole), len(paths))
         if (after < 0).all():
             break
         chain = _chains(after)
@@ -117,7 +128,11 @@ def stitched(paths: Paths, sequence: Sequence, settings: Stitching) -> tuple[Pat
 
 
 def candidates(
-    paths: Paths, states: Smoothed, sequence: Sequence, settings: Stitching
+    paths: Paths,
+    states: Smoothed,
+    sequence: Sequence,
+    settings: Stitching,
+    whole: I8 | None = None,
 ) -> tuple[I8, I8, F8]:
     """All pairs that may be of one target: path ``after`` (P,) continues ``before`` (P,) with these
     log-odds (P,).
@@ -129,7 +144,7 @@ def candidates(
     ----------
     paths, states : the trajectories, and the states of their rows.
     sequence : their measurements.
-    settings : the parameters of stitching.
+    settings, whole : as of `stitched`.
     """
     births = _births(paths, sequence)
     new_target = math.log(births * settings.occluded * (1 - settings.reentry) / settings.reentry)
@@ -140,30 +155,44 @@ def candidates(
     overlaps = _overlaps(paths, states, sequence, settings)
     # Lazily, because the states of all pairs would take much memory.
     for pairs in itertools.chain([overlaps], _returns(paths, states, sequence, settings)):
-        evidence = _log_evidence(paths, states, sequence, pairs)
+        odds = _log_evidence(paths, states, sequence, pairs) + (pairs.odds - new_target)
         before.append(pairs.before)
         after.append(pairs.after)
         if ends is not None:
-            evidence = evidence + ends.likeness(pairs.before, pairs.after)
-        log_odds.append(evidence + (pairs.odds - new_target))
+            if whole is not None:
+                odds = np.where(_parted(paths, pairs, whole), np.minimum(odds, -EXCHANGED), odds)
+            odds = odds + ends.likeness(pairs.before, pairs.after)
+        log_odds.append(odds)
     return np.concatenate(before), np.concatenate(after), np.concatenate(log_odds)
+
+
+def _parted(paths: Paths, pairs: _Pairs, whole: I8) -> Bool:
+    """(P,) True for pairs of which both were one track before it was parted.
+
+    Who it was that went on where others hid it, motion cannot tell: it looks as if one had gone on
+    whether it was the same one or not. So motion says no more for it than the prior.
+    """
+    before = whole[paths.measurement[paths.last[pairs.before]]]
+    found: Bool = (before >= 0) & (before == whole[paths.measurement[paths.first[pairs.after]]])
+    return found
 
 
 class _Ends(NamedTuple):
     """The looks of paths at their ends.
 
-    ``mean`` (2K, D), ``number`` (2K,): of the last seconds of each, then of the first ones, and of
-    how many independent descriptors these are.
+    ``mean`` (2K, D), ``number``, ``seconds`` (2K,): of the last seconds of each, then of the first
+    ones; of how many independent descriptors these are, and for how long.
     """
 
     mean: F4
     number: F8
+    seconds: F8
     looks: SequenceLooks
 
     def likeness(self, before: I8, after: I8) -> F8:
         """(P,) log p(s | one object)/p(s | two) of ends of paths and beginnings of others."""
         second = len(self.number) // 2 + after
-        return self.looks.likeness(self.mean, self.number, before, second)
+        return self.looks.likeness(self.mean, self.number, self.seconds, before, second)
 
 
 def _ends(paths: Paths, sequence: Sequence) -> _Ends | None:
@@ -179,14 +208,16 @@ def _ends(paths: Paths, sequence: Sequence) -> _Ends | None:
     first = seconds[paths.frame[paths.first]]
     last = seconds[paths.frame[paths.last]]
     count = np.zeros(2 * len(paths))
+    spans = np.zeros(2 * len(paths))
     mean = np.zeros((2 * len(paths), known.unit.shape[1]), np.float32)
     for place, apart in enumerate((last[path] - time, time - first[path])):
         weight = known.weight[column] * (apart <= known.frame.memory)
         at = path + place * len(paths)
         np.add.at(mean, at, known.unit[column] * weight[:, None].astype(np.float32))
         np.add.at(count, at, weight)
+        np.maximum.at(spans, at, apart * (weight > 0))
     mean /= np.maximum(count, 1e-9)[:, None].astype(np.float32)
-    return _Ends(mean, known.independent(count), known)
+    return _Ends(mean, known.independent(count), spans, known)
 
 
 def returns(paths: Paths, sequence: Sequence) -> list[tuple[tuple[int, int], tuple[int, int]]]:
