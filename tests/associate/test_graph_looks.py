@@ -130,16 +130,16 @@ def test_pasts_follow_links():
         assert past is not None
         assert len(known.past) == len(state.window.since)
         place = known.past[-1]
-        np.testing.assert_allclose(known.pasts.mean[place], past.mean(3.0), atol=1e-5)
-        assert known.pasts.time[place] == past.time[-1]
-        assert known.pasts.number[place] == pytest.approx(past.number)
+        np.testing.assert_allclose(known.pasts.looks[place, 0], past.mean(3.0), atol=1e-5)
+        assert known.pasts.rows["time"][place] == past.time[-1]
+        assert known.pasts.rows["number"][place] == pytest.approx(past.number)
 
 
 def test_pasts_are_forgotten_with_the_window():
     frames = [states([[100.0, 100.0], [400.0, 100.0]]) for _ in range(120)]
     state = linked(frames, [[0, 1]] * 120)[-1]
     assert len(state.looks.past) == len(state.window.since) <= 2 * 52
-    assert len(state.looks.pasts.time) <= 2 * 52
+    assert len(state.looks.pasts.rows) <= 2 * 52
     assert state.looks.past.min() == 0
 
 

@@ -105,8 +105,8 @@ def test_hypotheses_are_weighed_by_their_pasts(name: str):
             place = state.leaves.past[leaf]
             assert (place < 0) == (past is None)
             if past is not None:
-                np.testing.assert_allclose(state.pasts.mean[place], past.mean(2.0), atol=1e-5)
-                assert state.pasts.number[place] == pytest.approx(past.number)
+                np.testing.assert_allclose(state.pasts.looks[place, 0], past.mean(2.0), atol=1e-5)
+                assert state.pasts.rows["number"][place] == pytest.approx(past.number)
     last = len(scans) - 1
     total = sum(weight for weight, *_ in histories)
     false = [
@@ -153,7 +153,7 @@ def test_a_missed_target_stays_known():
     state, infos = tracked(EVERYTHING, scans, looks)
     assert infos[3].sure.tolist() == [[0, 0]]
     assert set(infos[4].sure[:, 1].tolist()) <= {-1}
-    assert state.pasts.time[state.leaves.past[state.leaves.past >= 0]].max() == 3.0
+    assert state.pasts.rows["time"][state.leaves.past[state.leaves.past >= 0]].max() == 3.0
 
 
 @pytest.mark.parametrize("filter_", ["mht", "pmbm"])

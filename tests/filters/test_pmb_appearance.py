@@ -27,7 +27,7 @@ from appearance_cases import (
 from inner_kernels import from_python
 from phdtrack import Tracker, pipeline
 from phdtrack.filters import PMB
-from phdtrack.kernels.appearance import described
+from phdtrack.kernels.appearance_law import looks_and_law
 from phdtrack.kernels.association import EDGE
 from phdtrack.kernels.verdicts import DOUBTFUL, MISSED, write_verdicts
 from phdtrack.protocols import Filter
@@ -193,9 +193,9 @@ def test_verdicts_leave_no_doubt(seed: int, targets: int, n: int):
 
 
 def _all_free(*arguments: Any) -> tuple[Any, ...]:
-    """`described`, as if no box covered another."""
-    unit, seen, mean, free, *rest = described(*arguments)
-    return unit, seen, mean, np.ones(len(free)), *rest
+    """`looks_and_law`, as if no box covered another."""
+    (unit, seen, mean, free, *rest), law = looks_and_law(*arguments)
+    return (unit, seen, mean, np.ones(len(free)), *rest), law
 
 
 def test_hypotheses_of_a_target_have_pasts_of_their_own():
@@ -213,7 +213,7 @@ def test_hypotheses_of_a_target_have_pasts_of_their_own():
         np.vstack([both, others.xyxy]), embeddings=np.vstack([looks, others.embeddings])
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phdtrack.models.appearance.described", _all_free)
+        patch.setattr("phdtrack.models.appearance.looks_and_law", _all_free)
         tracker.update(found)
     state = tracker.state.intensity
     own = state.present.hypotheses[state.present.hypotheses["target"] == 0]
@@ -221,10 +221,10 @@ def test_hypotheses_of_a_target_have_pasts_of_their_own():
     for j in (0, 1):
         past = own["past"][own["detection"] == j]
         assert len(past)
-        np.testing.assert_allclose(state.pasts.last[past], unit[[j] * len(past)], atol=1e-6)
+        np.testing.assert_allclose(state.pasts.looks[past, 1], unit[[j] * len(past)], atol=1e-6)
     missed = own["past"][own["detection"] < 0]
     assert not np.isin(missed, own["past"][own["detection"] >= 0]).any()
-    assert state.pasts.time[own["past"][own["detection"] >= 0]].max() == pytest.approx(3.0)
+    assert state.pasts.rows["time"][own["past"][own["detection"] >= 0]].max() == pytest.approx(3.0)
 
 
 def test_descriptors_of_another_length_begin_anew():
@@ -238,7 +238,7 @@ def test_descriptors_of_another_length_begin_anew():
         looks = found.embeddings[:, : D if k < 40 else 5]
         found = replace(found, embeddings=looks)
         state, step = pipeline.advance(stages, state, found, k + 1, 0.1 * k, rng)
-    assert state.intensity.pasts.mean.shape[1] == 5
+    assert state.intensity.pasts.looks.shape[2] == 5
     assert set(step.tracks.identity.tolist()) == {1, 2, 3}
     corrected = pipeline.finish(stages, state)
     assert len(np.unique(corrected.identity)) == 3
@@ -274,4 +274,4 @@ def test_a_step_is_predict_and_update_to_the_last_digit(monkeypatch: pytest.Monk
     for found, expected in zip(frames, rows, strict=True):
         assert equal(tracker.update(found), expected)
     assert equal(tracker.tracks(), parts.tracks())
-    assert len(tracker.state.intensity.pasts.time) == len(parts.state.intensity.pasts.time) > 0
+    assert len(tracker.state.intensity.pasts.rows) == len(parts.state.intensity.pasts.rows) > 0

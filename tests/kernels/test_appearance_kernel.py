@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.kernels.appearance import (
+    PAST,
     Law,
     Looks,
     Pasts,
@@ -22,7 +23,15 @@ from phdtrack.kernels.appearance import (
     remembered,
     typical_ratios,
 )
-from phdtrack.kernels.appearance_lessons import Followed, Lessons, taught
+from phdtrack.kernels.appearance_lessons import (
+    FIRST_EARLY,
+    MEAN,
+    SUMS,
+    Followed,
+    Lessons,
+    lessons_of,
+    taught,
+)
 from phdtrack.kernels.gaussian import PAIR
 from phdtrack.kernels.pmb import HYPOTHESIS
 from phdtrack.models.appearance import LEAST_FREE, PAUSE, SPANS, nobody
@@ -100,14 +109,13 @@ def some_pasts(rng: np.random.Generator, count: int, size: int, looks: Looks) ->
 
 def as_arrays(pasts: list[twin.Past], size: int, memory: float) -> Pasts:
     """The same as the kernels take them."""
-    return Pasts(
-        np.array([p.mean(memory) for p in pasts], np.float32).reshape(-1, size),
-        np.array([p.weights(memory).sum() for p in pasts]).reshape(-1),
-        np.array([p.time[-1] for p in pasts]).reshape(-1),
-        np.array([p.number for p in pasts]).reshape(-1),
-        np.array([p.look[-1] for p in pasts], np.float32).reshape(-1, size),
-        np.array([p.odd for p in pasts]).reshape(-1),
-    )
+    rows = np.zeros(len(pasts), PAST)
+    rows["weight"] = [p.weights(memory).sum() for p in pasts]
+    rows["time"] = [p.time[-1] for p in pasts]
+    rows["number"] = [p.number for p in pasts]
+    rows["odd"] = [p.odd for p in pasts]
+    looks = np.array([(p.mean(memory), p.look[-1]) for p in pasts], np.float32)
+    return Pasts(rows, looks.reshape(-1, 2, size))
 
 
 def some_hypotheses(rng: np.random.Generator, targets: int, pasts: int, n: int) -> np.ndarray:
@@ -165,7 +173,8 @@ def test_pasts_after_a_frame_are_as_defined(seed: int, targets: int, pasts: int,
     known = some_pasts(rng, pasts if targets else 0, size, looks)
     hypotheses = some_hypotheses(rng, targets, len(known), n)
     before = hypotheses.copy()
-    after = remembered(hypotheses, tuple(as_arrays(known, size, looks.memory)), plain(looks))
+    before_frame = as_arrays(known, size, looks.memory)
+    after = Pasts(*remembered(hypotheses, tuple(before_frame), plain(looks)))
     shared = {}
     for c, h in enumerate(before):
         past = known[h["past"]] if h["past"] >= 0 else None
@@ -176,16 +185,11 @@ def test_pasts_after_a_frame_are_as_defined(seed: int, targets: int, pasts: int,
             continue
         seen = h["target"], h["past"], h["detection"] if wanted is not past else -1
         assert shared.setdefault(seen, place) == place
-        got = [column[place] for column in after]
-        mean = wanted.mean(looks.memory)
-        weight = wanted.weights(looks.memory).sum()
-        for value, right in zip(
-            got,
-            (mean, weight, wanted.time[-1], wanted.number, wanted.look[-1], wanted.odd),
-            strict=True,
-        ):
-            np.testing.assert_allclose(value, right, rtol=1e-3, atol=1e-3)
-    assert sorted(shared.values()) == list(range(len(after.time)))
+        (right,) = as_arrays([wanted], size, looks.memory).rows.tolist()
+        np.testing.assert_allclose(after.rows[place].tolist(), right, rtol=1e-3, atol=1e-3)
+        both = wanted.mean(looks.memory), wanted.look[-1]
+        np.testing.assert_allclose(after.looks[place], both, rtol=1e-3, atol=1e-3)
+    assert sorted(shared.values()) == list(range(len(after.rows)))
 
 
 @settings(max_examples=40)
@@ -218,7 +222,8 @@ def test_typical_ratios_are_those_of_pairs(seed: int, n: int, m: int, size: int)
     before, measurement = np.indices((n, m)).reshape(2, -1)
     wanted = [twin.pair_ratio(pasts[h], j, looks) for h, j in zip(before, measurement, strict=True)]
     known = as_arrays(pasts, size, looks.memory)
-    past = known.mean, known.number, known.time
+    rows = known.rows
+    past = known.looks[:, 0].copy(), rows["number"].copy(), rows["time"].copy()
     found = typical_ratios(past, before, measurement, plain(looks))
     np.testing.assert_allclose(found, np.array(wanted), rtol=1e-3, atol=2e-3)
 
@@ -289,7 +294,7 @@ def test_lessons_are_their_definition(seed: int, people: int, size: int, most: f
     own = rng.normal(0, 1, (people, size)) + 1
     school = twin.School(SPANS, PAUSE, LEAST_FREE, most)
     followed = nobody(size)
-    lessons = Lessons(*map(np.zeros, (6, 3, 6, 6, 2)))
+    sums = np.zeros(SUMS)
     time = 0.0
     memory = rng.uniform(1, 5)
     mean = (own.mean(axis=0) / 3).astype(np.float32)
@@ -318,8 +323,10 @@ def test_lessons_are_their_definition(seed: int, people: int, size: int, most: f
         school.frame(table, looks)
         frame = Looks(*vars(looks).values())
         rules = (SPANS, PAUSE, LEAST_FREE, most)
-        followed, lessons = taught(tuple(followed), tuple(lessons), table, plain(frame), rules)
-        assert followed.label.tolist() == list(school.people)
+        known, sums = taught(tuple(followed), sums, table, plain(frame), rules)
+        followed = Followed(*known)
+        assert followed.rows["label"].tolist() == list(school.people)
+    lessons = lessons_of(sums)
     for name in Lessons._fields:
         # A single number may be that of the mean, but for errors of rounding.
         part = slice(0, None, 3) if size == 1 else slice(None)
@@ -331,25 +338,26 @@ def test_lessons_are_their_definition(seed: int, people: int, size: int, most: f
 def check_followed(followed: Followed, school: twin.School, memory: float) -> None:
     """What is known of each target is what all its detections say."""
     for k, one in enumerate(school.people.values()):
-        assert followed.taught[k] == one.taught
-        assert [*np.flatnonzero(np.isfinite(followed.early_time[k]))] == sorted(one.early)
+        row = followed.rows[k]
+        looks = followed.looks[k]
+        assert row["taught"] == one.taught
+        assert [*np.flatnonzero(np.isfinite(followed.early[k]["time"]))] == sorted(one.early)
         if not one.seen:
-            assert followed.weight[k] == 0
+            assert row["weight"] == 0
             continue
-        np.testing.assert_allclose(followed.mean[k], one.mean(memory), atol=1e-3)
-        assert followed.time[k] == one.seen[-1][0]
+        np.testing.assert_allclose(looks[MEAN], one.mean(memory), atol=1e-3)
+        assert row["time"] == one.seen[-1][0]
         for place, end in one.early.items():
             np.testing.assert_allclose(
-                followed.early[k, place], one.mean(memory, 0, end), atol=1e-3
+                looks[FIRST_EARLY + place], one.mean(memory, 0, end), atol=1e-3
             )
 
 
 @pytest.mark.parametrize("sure", [[], [[3, -1]], [[3, 0]]])
 def test_one_target_alone_teaches_nothing_of_others(sure: list, rng: np.random.Generator):
     looks = a_frame(rng, 1, 4)._replace(free=np.ones(1))
-    lessons = Lessons(*map(np.zeros, (6, 3, 6, 6, 2)))
     table = np.array(sure, np.int64).reshape(-1, 2)
     rules = (SPANS, PAUSE, LEAST_FREE, 3000.0)
-    followed, after = taught(tuple(nobody(4)), tuple(lessons), table, plain(looks), rules)
-    assert len(followed.label) == len(sure)
-    assert not any(part.any() for part in after)
+    followed, after = taught(tuple(nobody(4)), np.zeros(SUMS), table, plain(looks), rules)
+    assert len(Followed(*followed).rows) == len(sure)
+    assert not after.any()

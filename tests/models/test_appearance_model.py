@@ -227,7 +227,7 @@ def test_only_targets_without_doubt_teach(rng: np.random.Generator):
     # Of the same mean, which all detections have a part in.
     few = [taught_by(frames, sure=3) for frames in (quiet, loud)]
     for state in few:
-        assert state.followed.label.tolist() == [0, 1, 2]
+        assert state.followed.rows["label"].tolist() == [0, 1, 2]
     assert few[0].lessons.same[0] == few[1].lessons.same[0]
     assert taught_by(quiet, sure=1).lessons.other[0] == 0
     assert not taught_by(quiet, sure=0).lessons.same.any()
@@ -244,7 +244,7 @@ def test_covered_boxes_teach_nothing(rng: np.random.Generator):
         assert looks is not None
         np.testing.assert_allclose(looks.free, [0, 0, 1, 1], atol=0.11)
         state = RULE.advance(state, sure, looks)
-    assert (state.followed.weight > 0).tolist() == [False, False, True, True]
+    assert (state.followed.rows["weight"] > 0).tolist() == [False, False, True, True]
 
 
 @pytest.mark.parametrize("unknown", [0.0, np.nan])
@@ -273,7 +273,7 @@ def test_descriptors_of_another_length_begin_anew(rng: np.random.Generator):
     assert found.raw.shape == (3, 5)
     assert found.law.weight == 0
     assert not state.lessons.same.any()
-    assert len(state.followed.label) == 0
+    assert len(state.followed.rows) == 0
 
 
 def test_frames_without_descriptors_keep_what_is_known(rng: np.random.Generator):
@@ -285,8 +285,8 @@ def test_frames_without_descriptors_keep_what_is_known(rng: np.random.Generator)
         assert found.law.weight > 0
         assert found.free.tolist() == [0.0] * len(nothing)
         kept = RULE.advance(after, np.array([[0, -1], [2, -1]]), found)
-        assert kept.followed.label.tolist() == [0, 2]
-        assert (kept.followed.weight > 0).all()
+        assert kept.followed.rows["label"].tolist() == [0, 2]
+        assert (kept.followed.rows["weight"] > 0).all()
         np.testing.assert_array_equal(kept.lessons.same, state.lessons.same)
 
 

@@ -102,8 +102,8 @@ def linked(ahead: Ahead, window: Window, closed: int, verdicts: I8) -> VertexLoo
     holders["past"] = np.where(before >= 0, np.cumsum(before >= 0) - 1, -1)
     own = Pasts._make(column[before[before >= 0]] for column in known.pasts)
     fresh = remembered(holders, tuple(own), plain(looks))
-    least = int(past[past >= 0].min(initial=len(known.pasts.time)))
-    kept = len(known.pasts.time) - least
+    least = int(past[past >= 0].min(initial=len(known.pasts.rows)))
+    kept = len(known.pasts.rows) - least
     pasts = Pasts._make(
         np.concatenate([column[least:], more])
         for column, more in zip(tuple[Any, ...](known.pasts), fresh, strict=True)

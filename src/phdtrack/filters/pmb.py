@@ -348,7 +348,7 @@ class PMB(Checked, Filter[Bernoullis]):
         if len(births.weight):
             return Filter.step(self, state, z, model, dt, rng)
         before, pasts, looks = _with_pasts(state.present, state.pasts, model.appearance)
-        known = len(looks.mean) > 0 or len(pasts.time) > 0
+        known = len(looks.mean) > 0 or len(pasts.rows) > 0
         mean, covariance = carried(model, before.mean, before.covariance)
         clutter, scores, seen, gate = self._seen(model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
@@ -370,7 +370,7 @@ class PMB(Checked, Filter[Bernoullis]):
             clutter,
             (learned, gone, counted, sure),
             hidden,
-            pasts if len(looks.free) else state.pasts,
+            Pasts(*pasts) if len(looks.free) else state.pasts,
         )
 
     @property
@@ -448,7 +448,7 @@ class PMB(Checked, Filter[Bernoullis]):
             clutter,
             (learned, gone, counted, sure),
             hidden,
-            pasts if len(looks.free) else state.pasts,
+            Pasts(*pasts) if len(looks.free) else state.pasts,
         )
         # Recycle deleted targets into the undetected ones: PMB (6)
         if len(births.weight):
@@ -699,7 +699,7 @@ class BestBernoullis(Checked):
                 )
             if same:
                 break
-            frames.append(self._estimates(then, now, model))
+            frames.append(Estimates(*self._columns(then, now, model)))
         unchanged = (None,) * (len(layers) - 1 - len(frames))
         revised = (*unchanged, *reversed(frames))
         return self._reported(state, present, model, revised)
@@ -712,26 +712,28 @@ class BestBernoullis(Checked):
         past: tuple[Estimates | None, ...],
     ) -> Estimates:
         """The targets of the present with what their pasts look like."""
-        estimates = self._estimates(state.present, trace, model, past)
-        if model.appearance is None or not len(state.pasts.time):
-            return estimates
-        return _with_looks(estimates, state.present, state.pasts)
+        now = state.present
+        columns = self._columns(now, trace, model)
+        if model.appearance is None or not len(state.pasts.rows):
+            return Estimates(*columns, past)
+        label = columns[-1]
+        looks = looks_of_targets(now.targets, now.hypotheses, label, *state.pasts)
+        return Estimates(*columns, past, *looks)
 
-    def _estimates(
-        self, layer: Layer, trace: Records, model: Model, past: tuple[Estimates | None, ...] = ()
-    ) -> Estimates:
-        """The targets of enough presence, without those that overlap one followed for longer."""
+    def _columns(self, layer: Layer, trace: Records, model: Model) -> tuple[F8, F8, F8, F8, I8, I8]:
+        """The columns of `Estimates`, up to the labels, of targets of enough presence, without
+        those that overlap one followed for longer.
+        """
+        columns: tuple[F8, F8, F8, F8, I8, I8]
         if type(model.sensor) is BoxSensor:
-            state, covariance, weight, boxes, detection, label = reported_boxes(
-                tuple(layer), trace, self.min_weight, self.merge_iou
-            )
-            return Estimates(state, covariance, weight, boxes, detection, label, past)
+            columns = reported_boxes(tuple(layer), trace, self.min_weight, self.merge_iou)
+            return columns
         target = present_targets(trace, self.min_weight)
         boxes = model.sensor.boxes(np.ascontiguousarray(layer.mean[trace["place"][target]].T))
         # Labels rise with the frame in which a target began.
         left = without_overlaps(boxes, self.merge_iou)
         mean, covariance, weight, detection, label = of_targets(tuple(layer), trace, target[left])
-        return Estimates(mean, covariance, weight, boxes[left], detection, label, past)
+        return mean, covariance, weight, boxes[left], detection, label
 
 
 def _with_pasts(now: Layer, pasts: Pasts, looks: Looks | None) -> tuple[Layer, Pasts, Looks]:
@@ -743,23 +745,6 @@ def _with_pasts(now: Layer, pasts: Pasts, looks: Looks | None) -> tuple[Layer, P
     hypotheses = now.hypotheses.copy()
     hypotheses["past"] = past
     return now._replace(hypotheses=hypotheses), pasts, looks
-
-
-def _with_looks(estimates: Estimates, layer: Layer, pasts: Pasts) -> Estimates:
-    """The estimates with what the past of each looks like."""
-    looks = looks_of_targets(
-        layer.targets, layer.hypotheses, estimates.tag, pasts.mean, pasts.number
-    )
-    return Estimates(
-        estimates.state,
-        estimates.covariance,
-        estimates.weight,
-        estimates.xyxy,
-        estimates.detection,
-        estimates.tag,
-        estimates.past,
-        *looks,
-    )
 
 
 def without_overlaps(boxes: F8, merge_iou: float) -> I8:

@@ -56,7 +56,7 @@ from phdtrack.filters.hypotheses import (
 from phdtrack.filters.pmb import NOBODY, without_overlaps
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
 from phdtrack.kernels import Records
-from phdtrack.kernels.appearance import HOLDER, Looks, plain, ratios_of_pairs, remembered
+from phdtrack.kernels.appearance import HOLDER, Looks, Pasts, plain, ratios_of_pairs, remembered
 from phdtrack.kernels.gaussian import (
     GAUSSIAN,
     PAIR,
@@ -383,7 +383,7 @@ def _remembering(state: Hypotheses, looks: Looks) -> Hypotheses:
     if not len(looks.mean):
         return state
     holders = _holders(state)
-    pasts = remembered(holders, tuple(state.pasts), plain(looks))
+    pasts = Pasts(*remembered(holders, tuple(state.pasts), plain(looks)))
     leaves = replace(state.leaves, past=np.ascontiguousarray(holders["past"]))
     return replace(state, layers=(*state.layers[:-1], leaves), pasts=pasts)
 
@@ -530,7 +530,7 @@ class BestHypothesis(Checked):
                 gaussians = then.mean, then.covariance
             frames.append(self._estimates(nodes, at, exists, gaussians, model))
         estimates = replace(frames[0], past=tuple(frames[:0:-1]))
-        if model.appearance is None or not len(state.pasts.time):
+        if model.appearance is None or not len(state.pasts.rows):
             return estimates
         leaves = state.leaves
         best = state.best()

@@ -95,28 +95,28 @@ class Looks(NamedTuple):
     beside: I8 = np.zeros(0, np.int64)
 
 
+# What a hypothesis has seen. ``weight``, ``time``: what all of its descriptors count for, old ones
+# forgotten, and seconds at the last. ``number``: of how many independent ones `Pasts.looks` has the
+# mean. ``odd``: the probability that the target then looked odd.
+PAST = records("weight time number odd", "")
+
+
 class Pasts(NamedTuple):
     """The knowledge of hypotheses of what their targets look like.
 
-    ``mean`` (M, D): of the descriptors, old ones forgotten. ``weight``, ``time`` (M,): what all of
-    them count for, and seconds at the last. ``number`` (M,): of how many independent ones that is
-    the mean. ``last`` (M, D): the last of them. ``odd`` (M,): the probability that the target then
-    looked odd.
+    ``rows`` (M,) of `PAST`. ``looks`` (M, 2, D): the mean of the descriptors, old ones forgotten,
+    and the last of them.
     """
 
-    mean: F4
-    weight: F8
-    time: F8
-    number: F8
-    last: F4
-    odd: F8
+    rows: Records
+    looks: F4
 
 
 # Nothing is known of what similarity says.
 UNKNOWN = Law(0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.5, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0, 0.0)
 _NONE = np.zeros(0)
 _NO_LOOKS = np.zeros((0, 0), np.float32)
-NO_PASTS = Pasts(_NO_LOOKS, _NONE, _NONE, _NONE, _NO_LOOKS, _NONE)
+NO_PASTS = Pasts(np.zeros(0, PAST), np.zeros((0, 2, 0), np.float32))
 NO_LOOKS = Looks(_NO_LOOKS, _NO_LOOKS, np.zeros(0, np.float32), _NONE, UNKNOWN, 0.0, 1.0)
 # A hypothesis as `pair_ratios` and `remembered` know it: its target, its measurement of the frame,
 # and its past; −1 for none. The PMB's have more fields.
@@ -171,6 +171,21 @@ def similarity_gain(similarity: float, law: Law) -> float:
 
 @njit(**INLINED)
 def _likelihoods(
+    similar: float, similar_last: float, time: float, past: Any, law: Law
+) -> tuple[float, float]:
+    """p(s | the same object)/p(s | another object) of a ``past``, a record of `PAST`, and the
+    probability that the object now looks odd [APP (2)].
+
+    ``similar``, ``similar_last``: similarity to the mean of the past, and to its last descriptor.
+    ``time``: seconds now.
+    """
+    out: tuple[float, float]
+    out = likelihoods(similar, similar_last, time - past.time, past.number, past.odd, law)
+    return out
+
+
+@njit(**INLINED)
+def likelihoods(
     s_mean: float, s_last: float, seconds: float, count: float, odd: float, law: Law
 ) -> tuple[float, float]:
     """p(s | the same object)/p(s | another object), ``seconds`` after it was last seen, and the
@@ -206,24 +221,58 @@ def similarity_of(a: F4, i: int, b: F4, j: int) -> float:
     return float(total)
 
 
+@njit(**ENTRY)
+def all_finite(numbers: F4) -> bool:
+    """True if all ``numbers`` (M, D) are finite."""
+    wrong = 0
+    for i in range(numbers.shape[0]):
+        for k in range(numbers.shape[1]):
+            wrong += not abs(numbers[i, k]) < np.inf
+    return wrong == 0
+
+
 @njit(**INNER)
 def directions(looks: F4, mean: F4) -> F4:
     """(M, D) the descriptors less ``mean``, of length one; zeros where they are nearly the same."""
     out = np.empty(looks.shape, np.float32)
+    count = len(looks)
     size = len(mean)
-    for i in range(len(out)):
-        total = np.float32(0.0)
+    # Four rows at a time, and those that are left: a sum waits for its last addition.
+    fours = count - count % 4
+    for i in range(0, fours, 4):
+        a = b = c = d = np.float32(0.0)
         for k in range(size):
             out[i, k] = looks[i, k] - mean[k]
-            total += out[i, k] * out[i, k]
-        length = math.sqrt(total)
-        scale = np.float32(1.0 / length) if length > LEAST_LENGTH else np.float32(0.0)
+            out[i + 1, k] = looks[i + 1, k] - mean[k]
+            out[i + 2, k] = looks[i + 2, k] - mean[k]
+            out[i + 3, k] = looks[i + 3, k] - mean[k]
+            a += out[i, k] * out[i, k]
+            b += out[i + 1, k] * out[i + 1, k]
+            c += out[i + 2, k] * out[i + 2, k]
+            d += out[i + 3, k] * out[i + 3, k]
+        _scale(out, i, a)
+        _scale(out, i + 1, b)
+        _scale(out, i + 2, c)
+        _scale(out, i + 3, d)
+    for i in range(fours, count):
+        a = np.float32(0.0)
         for k in range(size):
-            out[i, k] *= scale
+            out[i, k] = looks[i, k] - mean[k]
+            a += out[i, k] * out[i, k]
+        _scale(out, i, a)
     return out
 
 
-@njit(**ENTRY)
+@njit(**INNER)
+def _scale(rows: F4, i: int, square: np.float32) -> None:
+    """Make row i, whose length has this ``square``, one of length one; of zeros if it is near 0."""
+    length = math.sqrt(square)
+    scale = np.float32(1.0 / length) if length > LEAST_LENGTH else np.float32(0.0)
+    for k in range(rows.shape[1]):
+        rows[i, k] *= scale
+
+
+@njit(**INNER)
 def described(raw: F4, boxes: F8, mean: F4, most: float, count: float) -> tuple[Any, ...]:
     """`Looks.raw`, `Looks.seen`, the mean of the stream, `Looks.free`, of how many descriptors that
     mean then is, and `Looks.beside`.
@@ -290,33 +339,36 @@ def besides(boxes: F8) -> I8:
 
 
 @njit(**INNER)
-def past_directions(pasts: Pasts, looks: Looks) -> tuple[F4, F4]:
-    """`directions` of the means and of the last descriptors of the pasts."""
-    return directions(pasts.mean, looks.mean), directions(pasts.last, looks.mean)
+def past_directions(pasts: Pasts, looks: Looks) -> F4:
+    """(2M, D) the `directions` of the mean and of the last descriptor of each past in turn."""
+    both: F4 = directions(pasts.looks.reshape(2 * pasts.rows.size, len(looks.mean)), looks.mean)
+    return both
 
 
 @njit(**INNER)
 def pair_ratios(
-    pairs: Records,
-    hypotheses: Records,
-    pasts: Pasts,
-    looks: Looks,
-    directions_before: tuple[F4, F4],
+    pairs: Records, hypotheses: Records, pasts: Pasts, looks: Looks, directions_before: F4
 ) -> F8:
     """(P,) the log-likelihood ratios of pairs of a hypothesis and a measurement [APP (2)]; (0,)
     where nothing is known. ``directions_before``: `past_directions`.
     """
-    if looks.law.weight <= 0.0 or len(pasts.time) == 0:
+    # As variables: a record of arrays would count its references in every round.
+    rows = pasts.rows
+    seen = looks.seen
+    free = looks.free
+    law = looks.law
+    if law.weight <= 0.0 or rows.size == 0:
         return np.empty(0)
     out = np.empty(pairs.size)
-    direction, last = directions_before
     for q in range(pairs.size):
-        past = hypotheses[pairs[q].gaussian].past
+        h = hypotheses[pairs[q].gaussian].past
         j = pairs[q].measurement
         out[q] = 0.0
-        if past >= 0 and looks.free[j] > 0.0:
-            ratio, _ = _of_pair(direction, last, pasts, past, looks, j)
-            out[q] = looks.law.weight * looks.free[j] * math.log(ratio)
+        if h >= 0 and free[j] > 0.0:
+            similar = similarity_of(directions_before, 2 * h, seen, j)
+            similar_last = similarity_of(directions_before, 2 * h + 1, seen, j)
+            ratio, _ = _likelihoods(similar, similar_last, looks.time, rows[h], law)
+            out[q] = law.weight * free[j] * math.log(ratio)
     return out
 
 
@@ -327,20 +379,6 @@ def ratios_of_pairs(pairs: Records, hypotheses: Records, pasts: Pasts, looks: Lo
     seen = named(looks)
     ratios: F8 = pair_ratios(pairs, hypotheses, before, seen, past_directions(before, seen))
     return ratios
-
-
-@njit(**INNER)
-def _of_pair(
-    direction: F4, last: F4, pasts: Pasts, past: int, looks: Looks, j: int
-) -> tuple[float, float]:
-    """`_likelihoods` of a past and detection j."""
-    s_mean = similarity_of(direction, past, looks.seen, j)
-    s_last = similarity_of(last, past, looks.seen, j)
-    seconds = looks.time - pasts.time[past]
-    ratio, odd = _likelihoods(
-        s_mean, s_last, seconds, pasts.number[past], pasts.odd[past], looks.law
-    )
-    return ratio, odd
 
 
 @njit(**ENTRY)
@@ -359,7 +397,7 @@ def typical_ratios(past: tuple[F4, F8, F8], before: I8, measurement: I8, looks: 
         j = measurement[q]
         if number[h] > 0.0 and looks.free[j] > 0.0:
             s = similarity_of(direction, h, looks.seen, j)
-            ratio, _ = _likelihoods(s, s, looks.time - time[h], number[h], 0.0, looks.law)
+            ratio, _ = likelihoods(s, s, looks.time - time[h], number[h], 0.0, looks.law)
             out[q] = looks.law.weight * looks.free[j] * math.log(ratio)
     return out
 
@@ -431,46 +469,49 @@ def free_parts(boxes: F8) -> F8:
 
 
 @njit(**ENTRY)
-def remembered(hypotheses: Records, pasts: Pasts, looks: Looks) -> Pasts:
-    """The pasts after a frame. Takes ``hypotheses.past`` for that of the hypothesis which each
+def remembered(hypotheses: Records, pasts: Pasts, looks: Looks) -> tuple[Records, F4]:
+    """The `Pasts` after a frame. Takes ``hypotheses.past`` for that of the hypothesis which each
     comes from, and writes its own there.
 
     Hypotheses of one target that come from the same past with the same measurement share one.
     """
     before = Pasts(*pasts)
     seen = named(looks)
-    after: Pasts = pasts_after(hypotheses, before, seen, past_directions(before, seen))
+    after: tuple[Records, F4]
+    after = pasts_after(hypotheses, before, seen, past_directions(before, seen))
     return after
 
 
 @njit(**INNER)
 def pasts_after(
-    hypotheses: Records, pasts: Pasts, looks: Looks, directions_before: tuple[F4, F4]
-) -> Pasts:
+    hypotheses: Records, pasts: Pasts, looks: Looks, directions_before: F4
+) -> tuple[Records, F4]:
     """`remembered`, with the `past_directions`."""
-    count = hypotheses.size
-    size = len(looks.mean)
-    out = Pasts(
-        np.empty((count, size), np.float32),
-        np.empty(count),
-        np.empty(count),
-        np.empty(count),
-        np.empty((count, size), np.float32),
-        np.empty(count),
-    )
-    # Of each past that is written: the past before, and the measurement.
-    source = np.empty((count, 2), np.int64)
-    n = 0 * count
-    first = 0 * count
+    source = _sources(hypotheses, looks.free)
+    rows = np.empty(len(source), PAST)
+    own = np.empty((len(source), 2, len(looks.mean)), np.float32)
+    _write_numbers(source, pasts.rows, looks, directions_before, rows)
+    _write_looks(source, pasts, looks, rows, own)
+    return rows, own
+
+
+@njit(**INNER)
+def _sources(hypotheses: Records, free: F8) -> I8:
+    """(M, 2) of each past after a frame that before, and the measurement; −1 for none. Writes the
+    past of each hypothesis.
+    """
+    source = np.empty((hypotheses.size, 2), np.int64)
+    n = 0 * hypotheses.size
+    first = 0 * hypotheses.size
     target = -1
-    for c in range(count):
+    for c in range(hypotheses.size):
         h = hypotheses[c]
         if h.target != target:
             target = h.target
             first = n
         past = h.past
         j = h.detection
-        if j >= 0 and not looks.free[j] > 0.0:
+        if j >= 0 and not free[j] > 0.0:
             j = -1
         h.past = -1
         for k in range(first, n):
@@ -480,70 +521,61 @@ def pasts_after(
             continue
         source[n, 0] = past
         source[n, 1] = j
-        if j < 0:
-            _write_kept(pasts, past, out, n)
-        else:
-            _write_seen(pasts, past, looks, j, directions_before, out, n)
         h.past = n
         n += 1
-    return Pasts(
-        out.mean[:n].copy(),
-        out.weight[:n].copy(),
-        out.time[:n].copy(),
-        out.number[:n].copy(),
-        out.last[:n].copy(),
-        out.odd[:n].copy(),
-    )
+    return source[:n]
 
 
 @njit(**INNER)
-def _write_kept(pasts: Pasts, past: int, out: Pasts, n: int) -> None:
-    """Write a past of which nothing new was seen to place n of ``out``."""
-    out.mean[n] = pasts.mean[past]
-    out.weight[n] = pasts.weight[past]
-    out.time[n] = pasts.time[past]
-    out.number[n] = pasts.number[past]
-    out.last[n] = pasts.last[past]
-    out.odd[n] = pasts.odd[past]
-
-
-@njit(**INNER)
-def _write_seen(
-    pasts: Pasts,
-    past: int,
-    looks: Looks,
-    j: int,
-    directions_before: tuple[F4, F4],
-    out: Pasts,
-    n: int,
+def _write_numbers(
+    source: I8, before: Records, looks: Looks, directions_before: F4, rows: Records
 ) -> None:
-    """Write a past with detection j to place n of ``out``; ``past`` −1 for its first one.
-
-    ``directions_before``: those of the means and of the last descriptors of the pasts.
-    """
-    old = 0.0
-    out.number[n] = 1.0
-    out.odd[n] = 0.0
-    out.last[n] = looks.raw[j]
-    if past >= 0:
-        seconds = looks.time - pasts.time[past]
-        kept = math.exp(-seconds / looks.memory)
-        old = pasts.weight[past] * kept
-        rho = math.exp(-seconds / looks.law.independent)
-        new = looks.free[j] * (1.0 - rho) / (1.0 + rho)
-        out.number[n] = max(pasts.number[past] * kept + new, 1.0)
-        direction, last = directions_before
-        _, after = _of_pair(direction, last, pasts, past, looks, j)
-        out.odd[n] = pasts.odd[past] + looks.free[j] * (after - pasts.odd[past])
-    out.weight[n] = old + looks.free[j]
-    out.time[n] = looks.time
-    out.mean[n] = pasts.mean[past] if past >= 0 else looks.raw[j]
-    move_mean(out.mean, n, looks, j, looks.free[j] / out.weight[n])
+    """Write `Pasts.rows` of `_sources`; ``before``: those of the frame before."""
+    # As variables: a record of arrays would count its references in every round.
+    seen = looks.seen
+    free = looks.free
+    law = looks.law
+    for n in range(len(source)):
+        h = source[n, 0]
+        j = source[n, 1]
+        if j < 0:
+            rows[n] = before[h]
+            continue
+        row = rows[n]
+        row.weight = free[j]
+        row.number = 1.0
+        row.odd = 0.0
+        row.time = looks.time
+        if h >= 0:
+            old = before[h]
+            seconds = looks.time - old.time
+            kept = math.exp(-seconds / looks.memory)
+            rho = math.exp(-seconds / law.independent)
+            new = free[j] * (1.0 - rho) / (1.0 + rho)
+            row.weight = old.weight * kept + free[j]
+            row.number = max(old.number * kept + new, 1.0)
+            similar = similarity_of(directions_before, 2 * h, seen, j)
+            similar_last = similarity_of(directions_before, 2 * h + 1, seen, j)
+            _, after = _likelihoods(similar, similar_last, looks.time, old, law)
+            row.odd = old.odd + free[j] * (after - old.odd)
 
 
 @njit(**INNER)
-def move_mean(mean: F4, i: int, looks: Looks, j: int, share: float) -> None:
-    """Take detection j into mean i of descriptors, as this ``share`` of it."""
-    part = np.float32(share)
-    for k in range(len(looks.mean)):
-        mean[i, k] += part * (looks.raw[j, k] - mean[i, k])
+def _write_looks(source: I8, pasts: Pasts, looks: Looks, rows: Records, own: F4) -> None:
+    """Write `Pasts.looks` of `_sources`, with their ``rows``."""
+    before = pasts.looks
+    raw = looks.raw
+    free = looks.free
+    for n in range(len(source)):
+        h = source[n, 0]
+        j = source[n, 1]
+        if j < 0:
+            for d in range(own.shape[2]):
+                own[n, 0, d] = before[h, 0, d]
+                own[n, 1, d] = before[h, 1, d]
+            continue
+        part = np.float32(free[j] / rows[n].weight)
+        for d in range(own.shape[2]):
+            mean = before[h, 0, d] if h >= 0 else raw[j, d]
+            own[n, 0, d] = mean + part * (raw[j, d] - mean)
+            own[n, 1, d] = raw[j, d]

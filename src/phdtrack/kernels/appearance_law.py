@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from phdtrack.kernels import F8
-from phdtrack.kernels.appearance import UNKNOWN
-from phdtrack.kernels.appearance_lessons import Lessons, changed_share
+from phdtrack.kernels import F4, F8
+from phdtrack.kernels.appearance import UNKNOWN, described
+from phdtrack.kernels.appearance_lessons import changed_share, named_lessons
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
@@ -36,21 +36,39 @@ _UNKNOWN = tuple(UNKNOWN[:-1])
 
 
 @njit(**ENTRY)
-def law_of(
-    lessons: tuple[Any, ...], prior: float, within: float, alike: float
-) -> tuple[float, ...]:
+def looks_and_law(
+    raw: F4,
+    boxes: F8,
+    mean: F4,
+    count: float,
+    most: float,
+    sums: F8,
+    rules: tuple[float, float, float],
+) -> tuple[Any, ...]:
+    """`kernels.appearance.described` of a frame, and `law_of` lessons, in one call.
+
+    Parameters
+    ----------
+    raw, boxes, mean, count, most : as of `kernels.appearance.described`.
+    sums, rules : the arguments of `law_of`.
+    """
+    return described(raw, boxes, mean, most, count), law_of(sums, *rules)
+
+
+@njit(**ENTRY)
+def law_of(sums: F8, prior: float, within: float, alike: float) -> tuple[float, ...]:
     """The fields of `kernels.appearance.Law`.
 
     Parameters
     ----------
-    lessons : `Lessons` so far.
+    sums : those of `kernels.appearance_lessons.lessons_of` so far.
     prior : lessons for which it counts that appearance says nothing.
     within : `Law.within`.
     alike : lessons of means that are worth one.
     """
-    sums = Lessons(*lessons)
-    number, x, xx, s, xs, ss = sums.same
-    others, t, tt = sums.other
+    lessons = named_lessons(sums)
+    number, x, xx, s, xs, ss = lessons.same
+    others, t, tt = lessons.other
     if min(number, others) <= 0.0:
         return (*_UNKNOWN, within)
     spread = xx - x * x / number
@@ -62,9 +80,9 @@ def law_of(
     other = t / others
     other_variance = _variance(tt - others * other**2, others)
     value = worth((number, same, variance), (others, other, other_variance), prior, ALIKE)
-    changed = changed_share(sums.beside)
+    changed = changed_share(lessons.beside)
     trust = _trust(changed)
-    independent, signal, near_deviation = _noise(sums.single)
+    independent, signal, near_deviation = _noise(lessons.single)
     return (
         TRUST * trust * value,
         same,
@@ -75,7 +93,7 @@ def law_of(
         independent,
         signal,
         near_deviation,
-        *_means(sums.means, prior, alike, trust),
+        *_means(lessons.means, prior, alike, trust),
         max(math.log(changed / TRUSTED), 0.0),
         within,
     )

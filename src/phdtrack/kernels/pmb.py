@@ -261,7 +261,7 @@ def updated_layer(
     F8,
     tuple[float, float, float],
     I8,
-    Pasts | None,
+    tuple[Records, F4] | None,
 ]:
     """The targets after the measurements, with new ones, and what was learned [W15].
 
@@ -363,14 +363,13 @@ def updated_layer(
 @njit(**INNER)
 def _compared(
     appearance: tuple[Pasts, Looks] | None, pairs: Records, hypotheses: Records, count: int
-) -> tuple[tuple[F4, F4], tuple[F8, I8]]:
+) -> tuple[F4, tuple[F8, I8]]:
     """The directions of the pasts; and the log-likelihood ratios of the pairs, and room for
     `write_verdicts` on ``count`` targets, all empty where nothing is known.
     """
     verdicts = np.empty(0, np.int64)
     ratio = np.empty(0)
-    nothing = np.empty((0, 0), np.float32)
-    directions = nothing, nothing
+    directions = np.empty((0, 0), np.float32)
     # If the argument is None, Numba leaves this out, and compiles nothing that is called here.
     if appearance is not None:
         pasts = Pasts(*appearance[0])
@@ -383,17 +382,18 @@ def _compared(
 
 @njit(**INNER)
 def _pasts(
-    appearance: tuple[Pasts, Looks] | None, directions: tuple[F4, F4], hypotheses: Records
-) -> Pasts | None:
-    """The pasts of the updated hypotheses; those of before where nothing is seen, None where
+    appearance: tuple[Pasts, Looks] | None, directions: F4, hypotheses: Records
+) -> tuple[Records, F4] | None:
+    """The `Pasts` of the updated hypotheses; those of before where nothing is seen, None where
     nothing is known.
     """
     if appearance is not None:
         pasts = Pasts(*appearance[0])
         looks = named(appearance[1])
+        after: tuple[Records, F4] = pasts.rows, pasts.looks
         if len(looks.free) > 0:
-            pasts = pasts_after(hypotheses, pasts, looks, directions)
-        return pasts
+            after = pasts_after(hypotheses, pasts, looks, directions)
+        return after
     return None
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels import F8, I8
+from phdtrack.kernels import F4, F8, I8, Records
 from phdtrack.kernels.appearance import Looks, Pasts
 from phdtrack.kernels.box import (
     OBSERVED,
@@ -91,7 +91,7 @@ def stepped_boxes(
     I8,
     tuple[float, float, float],
     I8,
-    Pasts | None,
+    tuple[Records, F4] | None,
 ]:
     """The targets one frame later, with new ones, and what was learned: `predicted_layer` and
     `updated_layer`, which describe the rest.

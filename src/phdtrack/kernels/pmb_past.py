@@ -16,6 +16,7 @@ from phdtrack.kernels.box import apart
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
 from phdtrack.kernels.gaussian import records
+from phdtrack.kernels.small_arrays import first_not_below
 
 # Of each target of a frame: the hypothesis that leads to the one that is best today, −1 for none;
 # the greatest presence from that frame on.
@@ -217,7 +218,7 @@ def scaled(covariance: F8, hypotheses: Records, at: I8) -> F8:
 
 @njit(**ENTRY)
 def looks_of_targets(
-    targets: Records, hypotheses: Records, tag: I8, mean: F4, number: F8
+    targets: Records, hypotheses: Records, tag: I8, pasts: Records, looks: F4
 ) -> tuple[F4, F8, I8]:
     """(n, D) what the best hypotheses of targets look like by their pasts, and (n,) of how many
     independent descriptors that is the mean, 0 where it is not known; and (T,) all labels.
@@ -226,17 +227,17 @@ def looks_of_targets(
     ----------
     targets, hypotheses : all of them.
     tag : (n,) labels of some targets.
-    mean, number : as of `kernels.appearance.Pasts`.
+    pasts, looks : the columns of `kernels.appearance.Pasts`.
     """
     label = np.empty(targets.size, np.int64)
     for t in range(targets.size):
         label[t] = targets[t].label
-    out = np.zeros((tag.size, mean.shape[1]), np.float32)
+    out = np.zeros((tag.size, looks.shape[2]), np.float32)
     count = np.zeros(tag.size)
-    place = np.searchsorted(label, tag)
     for k in range(tag.size):
-        past = hypotheses[targets[place[k]].best].past
+        past = hypotheses[targets[first_not_below(label, tag[k])].best].past
         if past >= 0:
-            out[k] = mean[past]
-            count[k] = number[past]
+            count[k] = pasts[past].number
+            for d in range(looks.shape[2]):
+                out[k, d] = looks[past, 0, d]
     return out, count, label

@@ -15,10 +15,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.errors import Checked, NonNegative, Positive
-from phdtrack.kernels.appearance import Law, Looks, described, plain
-from phdtrack.kernels.appearance_law import law_of
-from phdtrack.kernels.appearance_lessons import Followed, Lessons, taught
-from phdtrack.types import F4, I8, Detections
+from phdtrack.kernels.appearance import Law, Looks, plain
+from phdtrack.kernels.appearance_law import law_of, looks_and_law
+from phdtrack.kernels.appearance_lessons import (
+    EARLY,
+    FIRST_EARLY,
+    FOLLOWED,
+    SUMS,
+    Followed,
+    Lessons,
+    lessons_of,
+    taught,
+)
+from phdtrack.types import F4, F8, I8, Detections
 
 # Seconds after which the memory of how a target looked some time ago is renewed.
 SPANS = (0.5, 2.0, 8.0)
@@ -39,29 +48,26 @@ class AppearanceSeen:
     ----------
     mean : (D,) mean of all descriptors; (0,) before any.      count : of how many it is.
     followed : the targets that lessons are taken from.
-    lessons : what they have taught.
+    sums : what they have taught, see `lessons`.
     """
 
     mean: F4 = field(default_factory=lambda: np.zeros(0, np.float32))
     count: float = 0.0
     followed: Followed = field(default_factory=lambda: nobody(0))
-    lessons: Lessons = field(default_factory=lambda: Lessons(*map(np.zeros, (6, 3, 6, 6, 2))))
+    sums: F8 = field(default_factory=lambda: np.zeros(SUMS))
+
+    @property
+    def lessons(self) -> Lessons:
+        """Sums by kind of lesson."""
+        return lessons_of(self.sums)
 
 
 def nobody(size: int) -> Followed:
     """No target, of descriptors of length ``size``."""
-    none = np.zeros(0)
     return Followed(
-        np.zeros(0, np.int64),
-        np.zeros((0, size), np.float32),
-        none,
-        none,
-        none,
-        np.zeros((0, len(SPANS), size), np.float32),
-        np.zeros((0, len(SPANS))),
-        np.zeros((0, len(SPANS))),
-        np.zeros((0, 2, size), np.float32),
-        np.zeros((0, 2)),
+        np.zeros(0, FOLLOWED),
+        np.zeros((0, len(SPANS)), EARLY),
+        np.zeros((0, FIRST_EARLY + len(SPANS), size), np.float32),
     )
 
 
@@ -102,16 +108,18 @@ class Appearance(Checked):
             mean = np.zeros(raw.shape[1], np.float32)
             count = 0.0
             state = AppearanceSeen(followed=nobody(raw.shape[1]))
-        unit, seen, mean, free, count, beside = described(
+        found, law = looks_and_law(
             np.ascontiguousarray(raw, np.float32),
             np.ascontiguousarray(detections.xyxy),
             mean,
-            MEAN_OF,
             count,
+            MEAN_OF,
+            state.sums,
+            self._rules,
         )
-        after = AppearanceSeen(mean, count, state.followed, state.lessons)
-        law = self.law(state.lessons)
-        return after, Looks(unit, seen, mean, free, law, time, self.memory, beside)
+        unit, seen, mean, free, count, beside = found
+        after = AppearanceSeen(mean, count, state.followed, state.sums)
+        return after, Looks(unit, seen, mean, free, Law(*law), time, self.memory, beside)
 
     def known(self, state: AppearanceSeen) -> Looks | None:
         """The law that the stream has taught so far, with no detections; None where it had no
@@ -125,14 +133,15 @@ class Appearance(Checked):
 
     def law(self, lessons: Lessons) -> Law:
         """The meaning of similarity by the lessons so far [APP (3)]."""
-        within = self.reidentify_within or math.inf
-        return Law._make(law_of(tuple(lessons), self.prior_lessons, within, self._alike))
+        return Law(*law_of(np.concatenate(lessons), *self._rules))
 
     @property
-    def _alike(self) -> float:
-        """Lessons of means that are worth one: each is of much the same descriptors as the next."""
+    def _rules(self) -> tuple[float, float, float]:
+        """The arguments of `law_of` besides the lessons."""
+        # Each mean is of much the same descriptors as the next.
         kept = math.exp(-PAUSE / self.memory)
-        return (1 + kept) / (1 - kept)
+        alike = (1 + kept) / (1 - kept)
+        return self.prior_lessons, self.reidentify_within or math.inf, alike
 
     def advance(self, state: AppearanceSeen, sure: I8, looks: Looks | None) -> AppearanceSeen:
         """Learn from a frame whose targets without doubt are ``sure`` (K, 2): label, and
@@ -140,11 +149,11 @@ class Appearance(Checked):
         """
         if looks is None:
             return state
-        followed, lessons = taught(
+        followed, sums = taught(
             tuple(state.followed),
-            tuple(state.lessons),
+            state.sums,
             sure,
             plain(looks),
             (SPANS, PAUSE, LEAST_FREE, REMEMBERED),
         )
-        return AppearanceSeen(state.mean, state.count, followed, lessons)
+        return AppearanceSeen(state.mean, state.count, Followed(*followed), sums)

@@ -22,10 +22,10 @@ def carried(past: I8, pasts: Pasts, looks: Looks | None) -> tuple[I8, Pasts, Loo
     if looks is None:
         return past, pasts, NO_LOOKS
     size = looks.raw.shape[1]
-    if pasts.mean.shape[1] == size:
+    if pasts.looks.shape[2] == size:
         return past, pasts, looks
-    none = np.zeros((0, size), np.float32)
-    return np.full(len(past), -1), NO_PASTS._replace(mean=none, last=none), looks
+    none = np.zeros((0, 2, size), np.float32)
+    return np.full(len(past), -1), NO_PASTS._replace(looks=none), looks
 
 
 def with_looks(estimates: Estimates, past: I8, pasts: Pasts, followed: I8) -> Estimates:
@@ -37,8 +37,8 @@ def with_looks(estimates: Estimates, past: I8, pasts: Pasts, followed: I8) -> Es
     followed : see `Estimates.followed`.
     """
     known = past >= 0
-    mean = np.zeros((len(past), pasts.mean.shape[1]), np.float32)
+    mean = np.zeros((len(past), pasts.looks.shape[2]), np.float32)
     number = np.zeros(len(past))
-    mean[known] = pasts.mean[past[known]]
-    number[known] = pasts.number[past[known]]
+    mean[known] = pasts.looks[past[known], 0]
+    number[known] = pasts.rows["number"][past[known]]
     return replace(estimates, appearance=mean, appearance_count=number, followed=followed)
