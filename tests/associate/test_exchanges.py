@@ -17,11 +17,22 @@ from phdtrack.associate.reidentification import (
     Names,
     Returns,
     Shown,
+    compared,
     exchanged,
     given_back,
 )
 from phdtrack.kernels.appearance import UNKNOWN, Looks, likeness, plain
-from phdtrack.kernels.identities import LABELS, Rules, exchange_odds, met_after, nobody
+from phdtrack.kernels.identities import (
+    LABELS,
+    LIKELY,
+    MET,
+    SEEN,
+    Rules,
+    Seen,
+    exchange_odds,
+    met_after,
+    nobody,
+)
 from phdtrack.state import from_bytes, to_bytes
 from phdtrack.types import F8, Exchange, Tracks
 from tracker_cases import equal
@@ -93,28 +104,28 @@ def test_other_filters_exchange_nothing():
 
 def test_pairs_that_meet_are_those_whose_boxes_nearly_touch(rng: np.random.Generator):
     """Against a plain definition; known targets only, and pairs are forgotten after a time."""
-    known = np.arange(0, 40, 2)
+    known = np.zeros(20, SEEN)
+    known["label"] = np.arange(0, 40, 2)
     expected = dict[int, float]()
-    met = np.zeros(0, np.int64)
-    when = np.zeros(0)
+    met = np.zeros(0, MET)
     for k in range(30):
         label = np.sort(rng.permutation(40)[:12])
         corner = rng.uniform(0, 300, (12, 2))
         boxes = np.hstack([corner, corner + rng.uniform(10, 60, (12, 2))])
         time = 1.5 * k
-        met, when = met_after(met, when, known, (label, boxes), time, (0.25, 5.0))
+        met = met_after(met, known, (label, boxes), time, (0.25, 5.0))
         center = 0.5 * (boxes[:, :2] + boxes[:, 2:])
         half = 0.5 * 1.25 * (boxes[:, 2:] - boxes[:, :2])
         for a in range(12):
             for b in range(a + 1, 12):
-                both = label[a] in known and label[b] in known
+                both = label[a] in known["label"] and label[b] in known["label"]
                 if both and (abs(center[a] - center[b]) < half[a] + half[b]).all():
                     expected[int(label[a]) * LABELS + int(label[b])] = time
         expected = {pair: last for pair, last in expected.items() if time - last <= 5}
-        assert met.tolist() == sorted(expected)
-        assert when.tolist() == [expected[pair] for pair in sorted(expected)]
+        assert met["pair"].tolist() == sorted(expected)
+        assert met["when"].tolist() == [expected[pair] for pair in sorted(expected)]
     assert len(met)
-    met, _ = met_after(met, when, known[:0], (label, boxes), time, (0.25, 5.0))
+    met = met_after(met, known[:0], (label, boxes), time, (0.25, 5.0))
     assert not len(met)
 
 
@@ -123,28 +134,32 @@ def state_of(own: np.ndarray, lately: np.ndarray, alive: list[bool]) -> Returns:
     n = len(own)
     label = 3 + 2 * np.arange(n)
     pairs = [a * LABELS + b for i, a in enumerate(label) for b in label[i + 1 :]]
-    seen = nobody(D)._replace(
+    rows = with_columns(
+        np.zeros(n, SEEN),
         label=label,
         identity=np.where(alive, 0, 100 + label),
-        first=np.zeros(n),
         last=np.where(alive, 9.0, 8.0),
-        began=np.zeros((n, 2), np.int64),
-        ended=np.zeros((n, 2), np.int64),
-        xyxy=np.tile([0.0, 0, 20, 40], (n, 1)),
-        detections=np.full(n, 90),
-        given=np.zeros(n, np.bool_),
-        alive=np.array(alive),
-        mean=own.astype(np.float32),
-        weight=np.full(n, 9.0),
-        number=np.full(n, 9.0),
-        lately=lately.astype(np.float32),
-        lately_weight=np.full(n, 3.0),
-        lately_number=np.full(n, 2.0),
-        updated=np.full(n, 9.0),
+        right=20,
+        bottom=40,
+        detections=90,
+        alive=alive,
+        weight=9,
+        number=9,
+        lately_weight=3,
+        lately_number=2,
+        updated=9,
     )
-    return Returns(
-        seen=seen, lost=nobody(D), met=np.array(pairs), when=np.full(len(pairs), 8.5), time=9.0
-    )
+    looks = np.stack([own, lately], axis=1).astype(np.float32)
+    met = with_columns(np.zeros(len(pairs), MET), pair=pairs, when=8.5)
+    return Returns(seen=Seen(rows, looks), lost=nobody(D), met=met, time=9.0)
+
+
+def with_columns(rows: np.ndarray, **columns: object) -> np.ndarray:
+    """The rows with other values in these columns."""
+    rows = rows.copy()
+    for name, values in columns.items():
+        rows[name] = values
+    return rows
 
 
 def looks_of(time: float = 9.0, doubt: float = 0.0) -> Looks:
@@ -173,8 +188,10 @@ def odds_of(state: Returns, *prior: float) -> F8:
 def exchanges(state: Returns, frame: int, names: Names) -> list[Exchange]:
     """The exchanges of a frame that has shown all that is known."""
     odds = odds_of(state, EXCHANGED, EXCHANGED_WITH_LOST)
-    shown = Shown(state.met[odds > 0], odds[odds > 0], 0, 0)
-    return reidentification.exchanges(state, shown, frame, names)
+    likely = np.zeros(np.count_nonzero(odds > 0), LIKELY)
+    likely["pair"] = state.met["pair"][odds > 0]
+    likely["odds"] = odds[odds > 0]
+    return reidentification.exchanges(state, Shown(likely, 0, 0), frame, names)
 
 
 NAMES = Names(np.array([3, 5, 7]), np.array([11, 12, 13]))
@@ -204,8 +221,8 @@ def test_odds_are_those_of_the_four_likelihoods(rng: np.random.Generator):
         np.testing.assert_allclose(odds[possible], expected[possible], rtol=1e-6)
         assert (expected[~possible] <= 0).all()
         assert possible.all() == (prior[0] > 0)
-    unseen = state.seen._replace(lately_number=np.array([2.0, 1.0, 2.0]))
-    odds = odds_of(replace(state, seen=unseen), 30.0, 30.0)
+    unseen = with_columns(state.seen.rows, lately_number=[2, 1, 2])
+    odds = odds_of(replace(state, seen=Seen(unseen, state.seen.looks)), 30.0, 30.0)
     # Of the hidden one nothing is known, and no pair of two of whom nothing is.
     assert np.isneginf(odds).tolist() == [False, False, True]
     np.testing.assert_allclose(odds[0], 30.0 + fits[1, 0] - fits[0, 0], rtol=1e-6)
@@ -234,16 +251,19 @@ def test_a_target_takes_the_identity_of_a_lost_one():
     assert found.identities == (11, 105)
     assert found.frame == 77
     state = exchanged(state, [found])
-    np.testing.assert_array_equal(state.seen.mean, own[[1, 0, 2]])
-    assert state.seen.identity.tolist() == [0, 11, 0]
+    np.testing.assert_array_equal(state.seen.looks[:, 0], own[[1, 0, 2]])
+    assert state.seen.rows["identity"].tolist() == [0, 11, 0]
     assert state.exchanges == (found,)
     assert exchanges(state, 78, NAMES) == []
     # Somebody who looks like the first one then has that one's identity.
-    seen = state.seen._replace(
-        first=np.array([0.0, 0, 8.9]), mean=own[[1, 0, 0]], detections=np.array([90, 90, 5])
-    )
+    rows = with_columns(state.seen.rows, first=[0, 0, 8.9], detections=[90, 90, 5])
+    looks = state.seen.looks.copy()
+    looks[:, 0] = own[[1, 0, 0]]
+    seen = Seen(rows, looks)
     state = replace(state, seen=seen, extent=(0, 0, 100, 100), begun=-100.0, confirmed=3)
-    (back,) = given_back(state, looks_of())
+    found = compared(state, looks_of())
+    assert found is not None
+    (back,) = given_back(state, found)
     assert (back.earlier, back.later, back.identity) == (5, 7, 11)
 
 
@@ -251,8 +271,8 @@ def test_a_target_takes_the_identity_of_a_hidden_one():
     """The other one is followed, but others cover it: what it looks like now is not known."""
     own = np.eye(3, D)
     state = state_of(own, own[[1, 1, 2]], [True, True, True])
-    hidden = state.seen._replace(lately_number=np.array([2.0, 1.0, 2.0]))
-    (found,) = exchanges(replace(state, seen=hidden), 77, NAMES)
+    hidden = with_columns(state.seen.rows, lately_number=[2, 1, 2])
+    (found,) = exchanges(replace(state, seen=Seen(hidden, state.seen.looks)), 77, NAMES)
     assert found.labels == (3, 5)
     assert found.identities == (11, 12)
 

@@ -24,6 +24,7 @@ from phdtrack.associate import reidentification
 from phdtrack.associate.reidentification import (
     Names,
     Returns,
+    compared,
     forgetting,
     named,
     remembering,
@@ -31,7 +32,7 @@ from phdtrack.associate.reidentification import (
 )
 from phdtrack.associate.reidentification import given_back as given_back_by
 from phdtrack.kernels.appearance import UNKNOWN, Looks
-from phdtrack.kernels.identities import nobody
+from phdtrack.kernels.identities import MET, nobody
 from phdtrack.models.returns import (
     NEARBY,
     PRIOR_ENDED,
@@ -503,11 +504,11 @@ def test_lost_targets_that_are_remembered_are_few(monkeypatch: pytest.MonkeyPatc
         assert len(state.seen.label) <= 2
         assert len(state.lost.label) <= 5
     assert state.lost.label.tolist() == [24, 25, 26, 27, 28]
-    assert state.lost.identity.tolist() == [25, 26, 27, 28, 29]
+    assert state.lost.rows["identity"].tolist() == [25, 26, 27, 28, 29]
     pair = Return(27, 29, 28, 2.0, 290.0, (28, 0), (30, 0))
     state = taken(state, [pair])
     assert state.lost.label.tolist() == [24, 25, 26, 28]
-    assert state.seen.given.tolist() == [True]
+    assert state.seen.rows["given"].tolist() == [1]
     assert state.pairs == (pair,)
     monkeypatch.setattr(reidentification, "MOST_PAIRS", 3)
     for k in (24, 25, 26, 28):
@@ -538,19 +539,20 @@ def test_memory_is_bounded_with_thousands_of_targets():
     for k in range(50, 53):
         time += 1.0
         state = after(state, [5000], views[[4900]], k + 1, time)
-        pairs = given_back_by(state, looks_at(time))
+        found = compared(state, looks_at(time))
+        pairs = given_back_by(state, found) if found else []
     assert [pair.identity for pair in pairs] == [4901]
 
 
 def test_targets_of_another_descriptor_are_forgotten():
     state = after(Returns(), [1, 2], np.eye(2, D), 1, 0.0)
     assert len(state.seen.label) == 2
-    state = replace(state, met=np.array([1]), when=np.array([0.0]))
+    state = replace(state, met=np.zeros(1, MET))
     other = looks_at(1.0)._replace(raw=np.zeros((0, 3), np.float32), mean=np.zeros(3, np.float32))
     state, _ = remembering(
         state, Estimates.empty(6), np.zeros(0, int), 2, other, np.zeros(0, np.bool_)
     )
-    assert given_back_by(state, other) == []
+    assert compared(state, other) is None
     assert all(map(np.array_equal, state.seen, nobody(3)))
     assert not len(state.met)
 

@@ -19,8 +19,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels.appearance import Looks, likeness, plain
-from phdtrack.kernels.identities import LABELS, Seen, identities_after, nobody
+from phdtrack.kernels import Records
+from phdtrack.kernels.appearance import LARGER, Looks, likeness, plain
+from phdtrack.kernels.identities import (
+    LABELS,
+    MET,
+    Seen,
+    identities_after,
+    nobody,
+    undecided_places,
+)
 from phdtrack.models.returns import (
     EXCHANGED,
     Rates,
@@ -46,9 +54,8 @@ MOST_PAIRS = 10_000
 MEMORY = 10.0
 LATELY = 0.7
 LATELY_FRAMES = 3.0
-# Targets have met where boxes overlap that are larger by this part; for so many seconds it is
-# possible that they have exchanged identities.
-LARGER = 0.25
+# Seconds for which it is possible that two that have met, which are beside each other by `LARGER`,
+# have exchanged identities.
 DOUBT = 5.0
 # The log odds that one of two that have met has the identity of the other, which has not been
 # followed since.
@@ -75,8 +82,7 @@ class Returns:
     ----------
     seen : the targets with known looks that are followed, or were not long ago.
     lost : those that were followed before, and may come back.
-    met, when : the pairs of targets in ``seen`` that have met, and when they last did, as of
-        `kernels.identities.met_after`.
+    met : the pairs of targets in ``seen`` that have met, as of `kernels.identities.met_after`.
     pairs, exchanges : identities given back, the newest last; old ones are forgotten.
     extent : left, top, right and bottom of all boxes so far.
     begun, time : seconds of the first and of the last frame.
@@ -89,8 +95,7 @@ class Returns:
 
     seen: Seen = field(default_factory=lambda: nobody(0))
     lost: Seen = field(default_factory=lambda: nobody(0))
-    met: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    when: F8 = field(default_factory=lambda: np.zeros(0))
+    met: Records = field(default_factory=lambda: np.zeros(0, MET))
     pairs: tuple[Return, ...] = ()
     exchanges: tuple[Exchange, ...] = ()
     extent: tuple[float, float, float, float] = (math.inf, math.inf, -math.inf, -math.inf)
@@ -132,10 +137,10 @@ def reidentified(
     names : the identities of all labels until now.
     """
     state, shown = remembering(state, estimates, rows, frame, looks, confirmed)
-    if shown.gone or len(state.lost.label):
+    if shown.gone or len(state.lost.rows):
         state = forgetting(named(with_twins(state, looks), names), looks.law.within)
     change = dict[int, int]()
-    if not (shown.undecided or len(shown.pair)):
+    if not (shown.undecided or len(shown.likely)):
         return state, change
     swapped = exchanges(state, shown, frame, names)
     state = exchanged(state, swapped)
@@ -143,7 +148,7 @@ def reidentified(
     if found is None:
         pairs = []
     else:
-        pairs = _given(state, found)
+        pairs = given_back(state, found)
         back, away = expected_back(state, found)
         state = replace(state, back=state.back + back, away=state.away + away)
     for each in swapped:
@@ -157,13 +162,12 @@ def reidentified(
 class Shown(NamedTuple):
     """Evidence of a frame on identities.
 
-    ``pair``, ``odds`` (n,): the pairs of targets that probably have exchanged theirs, as of
-    `kernels.identities.met_after`, and the log odds of that. ``undecided``: how many targets may be
-    lost ones. ``gone``: how many that are remembered are followed no more.
+    ``likely`` (n,): the pairs of targets that probably have exchanged theirs, of
+    `kernels.identities.LIKELY`. ``undecided``: how many targets may be lost ones. ``gone``: how
+    many that are remembered are followed no more.
     """
 
-    pair: I8
-    odds: F8
+    likely: Records
     undecided: int
     gone: int
 
@@ -187,33 +191,26 @@ def remembering(
     """
     time = looks.time
     size = looks.raw.shape[1]
-    if state.seen.mean.shape[1] != size:
+    if state.seen.looks.shape[2] != size:
         none = nobody(size)
-        state = replace(state, seen=none, lost=none, met=state.met[:0], when=state.when[:0])
+        state = replace(state, seen=none, lost=none, met=state.met[:0])
     begun = time if math.isnan(state.begun) else state.begun
     interval = 0.0 if math.isnan(state.time) else time - state.time
     rules = MEMORY, max(LATELY, LATELY_FRAMES * interval), *RULES
-    seen, met, when, pair, odds, extent, counts = identities_after(
+    seen, met, likely, extent, counts = identities_after(
         tuple(state.seen),
-        (state.met, state.when),
-        _targets(estimates, rows, confirmed, size),
+        state.met,
+        _targets(estimates, rows, confirmed),
         frame,
         estimates.followed,
         plain(looks),
         rules,
-    )
-    left, top, right, bottom = state.extent
-    extent = (
-        min(left, extent[0]),
-        min(top, extent[1]),
-        max(right, extent[2]),
-        max(bottom, extent[3]),
+        state.extent,
     )
     after = Returns(
-        Seen._make(seen),
+        Seen(*seen),
         state.lost,
         met,
-        when,
         state.pairs,
         state.exchanges,
         extent,
@@ -225,23 +222,20 @@ def remembering(
         state.twins,
         state.chances,
     )
-    return after, Shown(pair, odds, *counts[1:])
+    return after, Shown(likely, *counts[1:])
 
 
-def _targets(estimates: Estimates, rows: I8, confirmed: Bool, size: int) -> tuple[Any, ...]:
-    """`Targets` of a frame; ``size`` is the length of descriptors."""
-    tag = estimates.tag
-    mean = estimates.appearance
-    count = estimates.appearance_count
-    if not len(count):
-        mean = np.zeros((len(tag), size), np.float32)
-        count = np.zeros(len(tag))
-    xyxy = np.ascontiguousarray(estimates.xyxy)
-    columns = tag, estimates.detection, rows, confirmed, xyxy, mean, count
-    if (tag[1:] > tag[:-1]).all():
-        return columns
-    order = np.argsort(tag, kind="stable")
-    return tuple(column[order] for column in columns)
+def _targets(estimates: Estimates, rows: I8, confirmed: Bool) -> tuple[Any, ...]:
+    """`Targets` of a frame, as a plain tuple."""
+    return (
+        estimates.tag,
+        estimates.detection,
+        rows,
+        confirmed,
+        np.ascontiguousarray(estimates.xyxy),
+        estimates.appearance,
+        estimates.appearance_count,
+    )
 
 
 def named(state: Returns, names: Names) -> Returns:
@@ -250,18 +244,18 @@ def named(state: Returns, names: Names) -> Returns:
     forgotten.
     """
     seen = state.seen
-    gone = ~seen.alive
-    if not gone.any() and not len(state.lost.label):
+    gone = seen.rows["alive"] == 0
+    if not gone.any() and not len(state.lost.rows):
         return state
-    unnamed = gone & (seen.identity == 0)
+    unnamed = gone & (seen.rows["identity"] == 0)
     if unnamed.any():
-        identity = seen.identity.copy()
-        identity[unnamed] = _identities(names, seen.label[unnamed])
-        seen = seen._replace(identity=identity)
+        rows = seen.rows.copy()
+        rows["identity"][unnamed] = _identities(names, seen.label[unnamed])
+        seen = Seen(rows, seen.looks)
     lost = state.lost
     old = _ended(state)
     if old.any():
-        lost = lost.followed_by(seen.select(old & (seen.identity > 0)))
+        lost = lost.followed_by(seen.select(old & (seen.rows["identity"] > 0)))
         seen = seen.select(~old)
     return replace(state, seen=seen, lost=lost)
 
@@ -271,11 +265,12 @@ def forgetting(state: Returns, within: float) -> Returns:
     are not among the last `MOST_LOST`.
     """
     lost = state.lost
-    if not len(lost.label):
+    if not len(lost.rows):
         return state
-    kept = lost.last >= state.time - within
+    last = lost.rows["last"]
+    kept = last >= state.time - within
     if np.count_nonzero(kept) > MOST_LOST:
-        newest = np.argsort(-np.where(kept, lost.last, -np.inf), kind="stable")
+        newest = np.argsort(-np.where(kept, last, -np.inf), kind="stable")
         kept[newest[MOST_LOST:]] = False
     return state if kept.all() else replace(state, lost=lost.select(kept))
 
@@ -298,22 +293,22 @@ def exchanges(state: Returns, shown: Shown, frame: int, names: Names) -> list[Ex
     frame : its number.
     names : the identities of all labels.
     """
-    if not len(shown.pair):
+    if not len(shown.likely):
         return []
-    seen = state.seen
+    rows = state.seen.rows
+    pairs = shown.likely["pair"].tolist()
+    odds = shown.likely["odds"]
     out = list[Exchange]()
     used = set[int]()
-    for m in np.argsort(-shown.odds, kind="stable").tolist():
-        labels = np.array(divmod(int(shown.pair[m]), LABELS))
-        place = seen.label.searchsorted(labels)
-        identity = np.where(
-            seen.alive[place], _identities(names, labels), seen.identity[place]
-        ).tolist()
+    for m in np.argsort(-odds, kind="stable").tolist():
+        labels = np.array(divmod(pairs[m], LABELS))
+        two = rows[rows["label"].searchsorted(labels)]
+        identity = np.where(two["alive"] > 0, _identities(names, labels), two["identity"]).tolist()
         a, b = labels.tolist()
         if 0 in identity or a in used or b in used:
             continue
         used |= {a, b}
-        out.append(Exchange((a, b), (identity[0], identity[1]), math.exp(shown.odds[m]), frame))
+        out.append(Exchange((a, b), (identity[0], identity[1]), math.exp(odds[m]), frame))
     return out
 
 
@@ -321,42 +316,43 @@ def exchanged(state: Returns, found: list[Exchange]) -> Returns:
     """The state after these targets have exchanged their identities."""
     if not found:
         return state
-    columns = {
-        name: getattr(state.seen, name).copy()
-        for name in ("identity", "ended", "mean", "weight", "number")
-    }
-    met = dict(zip(state.met.tolist(), state.when.tolist(), strict=True))
+    rows = state.seen.rows.copy()
+    looks = state.seen.looks.copy()
+    when = dict(zip(state.met["pair"].tolist(), state.met["when"].tolist(), strict=True))
     for each in found:
-        place = state.seen.label.searchsorted(np.array(each.labels))
-        for name in ("mean", "weight", "number"):
-            columns[name][place] = columns[name][place[::-1]]
+        place = rows["label"].searchsorted(np.array(each.labels))
+        looks[place, 0] = looks[place[::-1], 0]
+        for name in ("weight", "number"):
+            rows[name][place] = rows[name][place[::-1]]
         for k in (0, 1):
-            if not state.seen.alive[place[k]]:
+            if not rows["alive"][place[k]]:
                 # Its last detection before is not one of this target's.
-                columns["identity"][place[k]] = each.identities[1 - k]
-                columns["ended"][place[k]] = each.frame, -1
-        met |= _met_of_both(met, *each.labels)
-    pairs = sorted(met)
+                rows["identity"][place[k]] = each.identities[1 - k]
+                rows["ended_frame"][place[k]] = each.frame
+                rows["ended_row"][place[k]] = -1
+        when |= _met_of_both(when, *each.labels)
+    met = np.zeros(len(when), MET)
+    met["pair"] = sorted(when)
+    met["when"] = [when[pair] for pair in sorted(when)]
     return replace(
         state,
-        seen=state.seen._replace(**columns),
-        met=np.array(pairs, np.int64),
-        when=np.array([met[pair] for pair in pairs]),
+        seen=Seen(rows, looks),
+        met=met,
         exchanges=(*state.exchanges, *found)[-MOST_PAIRS:],
     )
 
 
-def _met_of_both(met: dict[int, float], a: int, b: int) -> dict[int, float]:
+def _met_of_both(when: dict[int, float], a: int, b: int) -> dict[int, float]:
     """When those that have met one of two targets have met both: either may be the other one."""
     more = dict[int, float]()
-    for pair, time in met.items():
+    for pair, time in when.items():
         one, two = divmod(pair, LABELS)
         if (one in (a, b)) == (two in (a, b)):
             continue
         third = two if one in (a, b) else one
         for label in (a, b):
             key = min(label, third) * LABELS + max(label, third)
-            more[key] = max(time, met.get(key, -math.inf), more.get(key, -math.inf))
+            more[key] = max(time, when.get(key, -math.inf), more.get(key, -math.inf))
     return more
 
 
@@ -373,18 +369,12 @@ class Compared(NamedTuple):
 def compared(state: Returns, looks: Looks) -> Compared | None:
     """The new targets of a frame, compared with all lost ones; None without any."""
     seen = state.seen
-    time = state.time
-    new = np.flatnonzero(
-        seen.alive
-        & ~seen.given
-        & (seen.last == time)
-        & (seen.detections >= LEAST_SEEN)
-        & (time - seen.first <= UNDECIDED)
-    )
+    rows = seen.rows
+    new = undecided_places(rows, state.time, LEAST_SEEN, UNDECIDED)
     if not len(new) or looks.law.means_weight <= 0:
         return None
-    lost = state.lost.followed_by(seen.select(~seen.alive & (seen.identity > 0)))
-    if not len(lost.label):
+    lost = state.lost.followed_by(seen.select((rows["alive"] == 0) & (rows["identity"] > 0)))
+    if not len(lost.rows):
         return None
     return Compared(new, lost, _odds(state, new, lost, looks))
 
@@ -393,10 +383,11 @@ def expected_back(state: Returns, found: Compared) -> tuple[float, float]:
     """How many of the targets that are compared for the first time are lost ones, as expected, and
     for how many seconds these were away together.
     """
-    first = state.seen.detections[found.new] == LEAST_SEEN
+    new = state.seen.rows[found.new]
+    first = new["detections"] == LEAST_SEEN
     odds = found.odds[first]
     share = odds / (1 + odds.sum(axis=1, keepdims=True))
-    gap = state.seen.first[found.new[first]][:, None] - found.lost.last
+    gap = new["first"][first][:, None] - found.lost.rows["last"]
     return float(share.sum()), float((share * np.maximum(gap, 0.0)).sum())
 
 
@@ -408,8 +399,10 @@ def with_twins(state: Returns, looks: Looks) -> Returns:
     ended = _ended(state)
     if looks.law.means_weight <= 0 or not ended.any():
         return state
-    a, b = np.nonzero(ended[:, None] & seen.alive & (seen.first < seen.last[:, None]))
-    ratio = likeness(seen.mean, seen.number, np.zeros(len(seen.number)), a, b, plain(looks))
+    rows = seen.rows
+    there = (rows["alive"] > 0) & (rows["first"] < rows["last"][:, None])
+    a, b = np.nonzero(ended[:, None] & there)
+    ratio = _likeness(seen, a, b, looks)
     return replace(
         state,
         twins=state.twins + twins_among(ratio, state.twin_chance),
@@ -419,18 +412,21 @@ def with_twins(state: Returns, looks: Looks) -> Returns:
 
 def _ended(state: Returns) -> Bool:
     """(K,) which of the targets are followed no more, and have not been for long."""
-    ended: Bool = ~state.seen.alive & (state.seen.last < state.time - DOUBT)
+    rows = state.seen.rows
+    ended: Bool = (rows["alive"] == 0) & (rows["last"] < state.time - DOUBT)
     return ended
 
 
-def given_back(state: Returns, looks: Looks) -> list[Return]:
-    """The identities that the targets of a frame take again [APP (5)]."""
-    found = compared(state, looks)
-    return [] if found is None else _given(state, found)
+def _likeness(seen: Seen, before: I8, after: I8, looks: Looks) -> F8:
+    """(P,) `kernels.appearance.likeness` of the identities of targets ``before`` and ``after``."""
+    mean = np.ascontiguousarray(seen.looks[:, 0])
+    number = np.ascontiguousarray(seen.rows["number"])
+    ratio: F8 = likeness(mean, number, np.zeros(len(number)), before, after, plain(looks))
+    return ratio
 
 
-def _given(state: Returns, found: Compared) -> list[Return]:
-    """`given_back` to the targets that were compared."""
+def given_back(state: Returns, found: Compared) -> list[Return]:
+    """The identities that the targets that were compared take again [APP (5)]."""
     seen = state.seen
     new, lost, odds = found.new, found.lost, found.odds.copy()
     total = 1.0 + odds.sum(axis=1)
@@ -440,16 +436,17 @@ def _given(state: Returns, found: Compared) -> list[Return]:
         share = odds[a, b] / total[a]
         if not share > ENOUGH:
             return out
-        i = int(new[a])
+        before = lost.rows[b]
+        after = seen.rows[new[a]]
         out.append(
             Return(
-                int(lost.label[b]),
-                int(seen.label[i]),
-                int(lost.identity[b]),
+                int(before["label"]),
+                int(after["label"]),
+                int(before["identity"]),
                 float(share / (1 - share)),
                 state.time,
-                tuple(lost.ended[b].tolist()),
-                tuple(seen.began[i].tolist()),
+                (int(before["ended_frame"]), int(before["ended_row"])),
+                (int(after["began_frame"]), int(after["began_row"])),
             )
         )
         odds[a] = 0.0
@@ -458,16 +455,15 @@ def _given(state: Returns, found: Compared) -> list[Return]:
 
 def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
     """(n, m) the odds of targets ``new`` to be those ``lost``, against new ones."""
-    seen = state.seen
-    gap = seen.first[new][:, None] - lost.last[None]
+    fresh = state.seen.select(new)
+    gap = fresh.rows["first"][:, None] - lost.rows["last"][None]
     a, b = np.indices(gap.shape).reshape(2, -1)
-    mean = np.concatenate([lost.mean, seen.mean[new]])
-    number = np.concatenate([lost.number, seen.number[new]])
-    ratio = likeness(mean, number, np.zeros(len(number)), b, len(lost.label) + a, plain(looks))
+    ratio = _likeness(lost.followed_by(fresh), b, len(lost.rows) + a, looks)
     ratio = among(ratio, state.twin_chance)
     # Old pairs and lost targets are forgotten, but have ended all the same.
     ended = max(
-        len(state.pairs) + len(lost.label), state.confirmed - int(np.count_nonzero(seen.alive))
+        len(state.pairs) + len(lost.rows),
+        state.confirmed - int(np.count_nonzero(state.seen.rows["alive"])),
     )
     # Those that came back are not new.
     rates = Rates(
@@ -475,10 +471,17 @@ def _odds(state: Returns, new: I8, lost: Seen, looks: Looks) -> F8:
         returning_share(state.back, ended),
         mean_away(state.away, state.back),
     )
-    prior = log_odds(gap.ravel(), lost.xyxy[b], seen.xyxy[new][a], rates, _area(state))
+    boxes = _boxes(lost)[b], _boxes(fresh)[a]
+    prior = log_odds(gap.ravel(), *boxes, rates, _area(state))
     odds: F8 = np.exp(prior + ratio).reshape(gap.shape)
     odds[gap > looks.law.within] = 0.0
     return odds
+
+
+def _boxes(seen: Seen) -> F8:
+    """(K, 4) the last box of each target."""
+    rows = seen.rows
+    return np.stack([rows["left"], rows["top"], rows["right"], rows["bottom"]], axis=1)
 
 
 def _area(state: Returns) -> float:
@@ -491,18 +494,18 @@ def taken(state: Returns, pairs: list[Return]) -> Returns:
     """The state after these identities were given back."""
     if not pairs:
         return state
-    seen = state.seen
-    given = seen.given.copy()
-    columns = {name: getattr(seen, name).copy() for name in ("mean", "weight", "number")}
+    rows = state.seen.rows.copy()
+    looks = state.seen.looks.copy()
     for pair in pairs:
-        p = int(seen.label.searchsorted(pair.later))
-        given[p] = True
-        source = seen if pair.earlier in seen.label else state.lost
+        p = int(rows["label"].searchsorted(pair.later))
+        rows["given"][p] = 1
+        source = state.seen if pair.earlier in rows["label"] else state.lost
         k = int(np.flatnonzero(source.label == pair.earlier)[0])
-        for name, column in columns.items():
-            column[p] = getattr(source, name)[k]
+        looks[p, 0] = source.looks[k, 0]
+        for name in ("weight", "number"):
+            rows[name][p] = source.rows[name][k]
     earlier = np.array([pair.earlier for pair in pairs])
-    seen = seen._replace(given=given, **columns)
+    seen = Seen(rows, looks)
     return replace(
         state,
         seen=seen.select(~np.isin(seen.label, earlier)),

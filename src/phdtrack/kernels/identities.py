@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels import F4, F8, I8, Bool
+from phdtrack.kernels import F4, F8, I8, Bool, Records
 from phdtrack.kernels.appearance import (
     MOST,
     Law,
@@ -21,58 +21,62 @@ from phdtrack.kernels.appearance import (
 )
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.gaussian import records
+from phdtrack.kernels.small_arrays import first_not_below
 
 # Two labels as one number, the lower one first: for fewer labels than this.
 LABELS = 1 << 31
+# A target. ``identity``: of one that is followed no more, 0 where it is not known. ``first``,
+# ``last``: seconds of its first and last detection; ``began_frame``, ``began_row``,
+# ``ended_frame``, ``ended_row``: frame and row of these. ``left`` to ``bottom``: its last box.
+# ``detections``: how many it had. ``given``: 1 if it has the identity of another one. ``alive``: 1
+# if it is followed. ``weight``, ``number``: of what its identity looks like, as of
+# `kernels.appearance.Pasts`; ``lately_weight``, ``lately_number``: of what the target has looked
+# like just now; ``updated``: seconds of the last detection that both are of.
+SEEN = records(
+    "first last left top right bottom weight number lately_weight lately_number updated",
+    "label identity began_frame began_row ended_frame ended_row detections given alive",
+)
+# Two targets that have met: both labels as one number, a·`LABELS` + b with a < b; and seconds when
+# they last did.
+MET = records("when", "pair")
+# Two that probably have exchanged their identities, and the log odds of that.
+LIKELY = records("odds", "pair")
 
 
 class Seen(NamedTuple):
     """The knowledge of targets (K,), ascending by label.
 
-    ``label``. ``identity``: of a target that is followed no more, 0 where it is not known.
-    ``first``, ``last``: seconds of its first and last detection; ``began``, ``ended`` (K, 2): frame
-    and row of these. ``xyxy`` (K, 4): its last box. ``detections``: how many it had. ``given``: it
-    has the identity of another one. ``alive``: it is followed.
-
-    ``mean`` (K, D), ``weight``, ``number``: of what its identity looks like, as of
-    `kernels.appearance.Pasts`; ``lately`` (K, D), ``lately_weight``, ``lately_number``: of what the
-    target has looked like just now; ``updated``: seconds of the last detection that both are of.
+    ``rows`` (K,) of `SEEN`; one array costs a call of a kernel less than many. ``looks`` (K, 2, D):
+    the mean of the descriptors of its identity, and of those that the target has had just now.
     """
 
-    label: I8
-    identity: I8
-    first: F8
-    last: F8
-    began: I8
-    ended: I8
-    xyxy: F8
-    detections: I8
-    given: Bool
-    alive: Bool
-    mean: F4
-    weight: F8
-    number: F8
-    lately: F4
-    lately_weight: F8
-    lately_number: F8
-    updated: F8
+    rows: Records
+    looks: F4
+
+    @property
+    def label(self) -> I8:
+        """(K,) the labels."""
+        label: I8 = self.rows["label"]
+        return label
 
     def select(self, index: I8 | Bool) -> Seen:
-        """The rows at ``index``."""
-        return Seen._make(column[index] for column in self)
+        """The targets at ``index``."""
+        return Seen(self.rows[index], self.looks[index])
 
     def followed_by(self, others: Seen) -> Seen:
         """The targets, and then others."""
-        columns: list[tuple[Any, Any]] = list(zip(self, others, strict=True))
-        return Seen._make(np.concatenate(both) for both in columns)
+        return Seen(
+            np.concatenate((self.rows, others.rows)), np.concatenate((self.looks, others.looks))
+        )
 
 
 class Targets(NamedTuple):
-    """The targets (n,) of a frame, ascending by label.
+    """The targets (n,) of a frame.
 
     ``label``; ``column``: its measurement; ``row``: the `Detections.row` of it; both −1 for none.
     ``confirmed``. ``xyxy`` (n, 4). ``mean`` (n, D), ``number``: of what its past looks like;
-    ``number`` 0 where that is not known.
+    ``number`` 0 where that is not known, (0, 0) and (0,) where nothing is.
     """
 
     label: I8
@@ -109,108 +113,113 @@ class Rules(NamedTuple):
 
 def nobody(size: int) -> Seen:
     """No targets, of descriptors of length ``size``."""
-    none = np.zeros(0)
-    count = np.zeros(0, np.int64)
-    pairs = np.zeros((0, 2), np.int64)
-    looks = np.zeros((0, size), np.float32)
-    false = np.zeros(0, np.bool_)
-    boxes = np.zeros((0, 4))
-    return Seen(
-        *(count, count, none, none, pairs, pairs, boxes, count, false, false),
-        *(looks, none, none, looks, none, none, none),
-    )
+    return Seen(np.zeros(0, SEEN), np.zeros((0, 2, size), np.float32))
 
 
 @njit(**ENTRY)
 def identities_after(
-    seen: tuple[Any, ...],
-    pairs: tuple[I8, F8],
-    targets: tuple[Any, ...],
+    seen: Seen,
+    met: Records,
+    targets: Targets,
     frame: int,
     followed: I8,
     looks: Looks,
-    rules: tuple[Any, ...],
-) -> tuple[Any, ...]:
-    """The knowledge of identities after a frame.
+    rules: Rules,
+    extent: tuple[float, float, float, float],
+) -> tuple[
+    tuple[Records, F4], Records, Records, tuple[float, float, float, float], tuple[int, int, int]
+]:
+    """The knowledge of identities after a frame. Records as plain tuples, see
+    `kernels.appearance.plain`.
 
     Parameters
     ----------
-    seen, pairs : `Seen` before, and the pairs that have met, with seconds, as of `met_after`.
+    seen, met : `Seen` before, and the pairs that have met, as of `met_after`.
     targets : `Targets` of the frame.
     frame : its number.
     followed : labels of all targets that are followed, ascending.
     looks, rules : of the frame, and `Rules`.
+    extent : left, top, right and bottom of the boxes before of confirmed targets that were
+        detected.
 
     Returns
     -------
-    `Seen`; the pairs that have met, and seconds; those of them that probably have exchanged their
-    identities, and the log odds of that [APP (6)]; left, top, right and bottom of the boxes of
-    confirmed targets that were detected; how many of these are new, and how many may be lost ones;
-    and how many are followed no more.
+    `Seen`; the pairs that have met; those of them that probably have exchanged their identities
+    [APP (6)], of `LIKELY`; the ``extent`` with the frame's boxes; how many of these targets are
+    new, and how many may be lost ones; and how many are followed no more.
     """
     before = Seen(*seen)
     now = Targets(*targets)
     looks = named(looks)
     rules = Rules(*rules)
-    fresh, out = _seen_after(before, now, frame, followed, looks, rules)
-    met, when = met_after(
-        pairs[0],
-        pairs[1],
-        out.label,
-        (now.label, now.xyxy),
-        looks.time,
-        (rules.larger, rules.doubt),
-    )
-    odds = exchange_odds(out, met, looks, rules)
-    likely = odds > 0.0
-    extent = math.inf, math.inf, -math.inf, -math.inf
-    undecided = 0
+    fresh, rows, known = _seen_after(before, now, frame, followed, looks, rules)
+    met = met_after(met, rows, (now.label, now.xyxy), looks.time, (rules.larger, rules.doubt))
+    likely = _likely(met, _exchange_odds(rows, known, met, looks, rules))
+    undecided = undecided_places(rows, looks.time, rules.detections, rules.undecided).size
     gone = 0
-    for p in range(out.label.size):
-        gone += not out.alive[p]
-        if out.last[p] != looks.time:
-            continue
-        box = out.xyxy[p]
-        extent = (
-            min(extent[0], box[0]),
-            min(extent[1], box[1]),
-            max(extent[2], box[2]),
-            max(extent[3], box[3]),
-        )
-        young = looks.time - out.first[p] <= rules.undecided and not out.given[p]
-        undecided += young and out.alive[p] and out.detections[p] >= rules.detections
-    return tuple(out), met, when, met[likely], odds[likely], extent, (fresh, undecided, gone)
+    for p in range(rows.size):
+        row = rows[p]
+        gone += 1 - row.alive
+        if row.last == looks.time:
+            extent = (
+                min(extent[0], row.left),
+                min(extent[1], row.top),
+                max(extent[2], row.right),
+                max(extent[3], row.bottom),
+            )
+    return (rows, known), met, likely, extent, (fresh, undecided, gone)
+
+
+@njit(**INNER)
+def _likely(met: Records, odds: F8) -> Records:
+    """The pairs that have met whose odds (M,) are above 1."""
+    out = np.empty(met.size, LIKELY)
+    n = 0
+    for m in range(met.size):
+        if odds[m] > 0.0:
+            out[n].pair = met[m].pair
+            out[n].odds = odds[m]
+            n += 1
+    return out[:n].copy()
 
 
 @njit(**INNER)
 def _seen_after(
     before: Seen, now: Targets, frame: int, followed: I8, looks: Looks, rules: Rules
-) -> tuple[int, Seen]:
+) -> tuple[int, Records, F4]:
     """How many targets are new, and `Seen` after a frame."""
     present = _present(now)
-    label = now.label[present]
-    fresh = _new(before.label, label)
-    out = _with_room(before, label[fresh], looks.mean.size)
-    place = np.searchsorted(out.label, label)
-    for each in range(fresh.size):
-        _begin(out, place[fresh[each]], now, present[fresh[each]], frame, looks.time)
-    clear = free_parts(now.xyxy)
-    for each in range(present.size):
-        k = present[each]
-        p = place[each]
-        j = now.column[k]
-        out.last[p] = looks.time
-        out.ended[p, 0] = frame
-        out.ended[p, 1] = now.row[k]
-        out.xyxy[p] = now.xyxy[k]
-        out.detections[p] += 1
-        share = min(looks.free[j], clear[k])
-        if share > 0.0 and looks.time > out.updated[p]:
-            _look(out, p, looks, j, share, (rules.memory, rules.lately))
-    for t in range(out.label.size):
-        at = np.searchsorted(followed, out.label[t])
-        out.alive[t] = at < followed.size and followed[at] == out.label[t]
-    return fresh.size, out
+    label = now.label
+    fresh = _new(before.rows, label, present)
+    rows, known = _with_room(before, label, fresh, looks.mean.size)
+    _begin(rows, known, now, fresh, frame, looks.time)
+    free = looks.free
+    raw = looks.raw
+    boxes = now.xyxy
+    column = now.column
+    row = now.row
+    clear = free_parts(boxes)
+    for k in present:
+        p = place_of(rows, label[k])
+        target = rows[p]
+        target.last = looks.time
+        target.ended_frame = frame
+        target.ended_row = row[k]
+        target.left = boxes[k, 0]
+        target.top = boxes[k, 1]
+        target.right = boxes[k, 2]
+        target.bottom = boxes[k, 3]
+        target.detections += 1
+        share = min(free[column[k]], clear[k])
+        if share > 0.0 and looks.time > target.updated:
+            seconds = looks.time - target.updated
+            parts = _look(target, seconds, share, looks.law.independent, rules)
+            _move_means(known, p, raw, column[k], parts)
+            target.updated = looks.time
+    for p in range(rows.size):
+        at = first_not_below(followed, rows[p].label)
+        rows[p].alive = at < followed.size and followed[at] == rows[p].label
+    return fresh.size, rows, known
 
 
 @njit(**INNER)
@@ -218,7 +227,7 @@ def _present(now: Targets) -> I8:
     """The confirmed targets that have a detection and of which it is known what they look like."""
     out = np.empty(now.label.size, np.int64)
     n = 0
-    for k in range(now.label.size):
+    for k in range(now.number.size):
         if now.row[k] >= 0 and now.confirmed[k] and now.number[k] > 0.0:
             out[n] = k
             n += 1
@@ -226,139 +235,139 @@ def _present(now: Targets) -> I8:
 
 
 @njit(**INNER)
-def _new(known: I8, label: I8) -> I8:
-    """The places of labels, ascending, that are not among the ``known``."""
-    place = np.searchsorted(known, label)
-    out = np.empty(label.size, np.int64)
+def place_of(rows: Records, label: int) -> int:
+    """The first place in rows, ascending by label, whose label is not below this one, or their
+    number.
+    """
+    low = 0 * rows.size
+    high = rows.size
+    while low < high:
+        middle = (low + high) // 2
+        if rows[middle].label < label:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(**INNER)
+def _has(rows: Records, label: int) -> bool:
+    """True if one of the rows, ascending by label, has this one."""
+    p = place_of(rows, label)
+    return bool(p < rows.size and rows[p].label == label)
+
+
+@njit(**INNER)
+def _new(rows: Records, label: I8, present: I8) -> I8:
+    """The targets of those ``present`` that have no row, ascending by label; ``label`` (n,): of all
+    targets.
+    """
+    out = np.empty(present.size, np.int64)
     n = 0
-    for k in range(label.size):
-        if place[k] == known.size or known[place[k]] != label[k]:
-            out[n] = k
+    for k in present:
+        if not _has(rows, label[k]):
+            at = n
+            while at > 0 and label[out[at - 1]] > label[k]:
+                out[at] = out[at - 1]
+                at -= 1
+            out[at] = k
             n += 1
     return out[:n]
 
 
 @njit(**INNER)
-def _begin(out: Seen, p: int, now: Targets, k: int, frame: int, time: float) -> None:
-    """Write what is known of target k, which is new, into row p."""
-    out.first[p] = time
-    out.began[p, 0] = frame
-    out.began[p, 1] = now.row[k]
-    out.mean[p] = now.mean[k]
-    out.lately[p] = now.mean[k]
-    out.weight[p] = now.number[k]
-    out.lately_weight[p] = min(now.number[k], 1.0)
-    out.number[p] = now.number[k]
-    out.lately_number[p] = min(now.number[k], 1.0)
-    out.updated[p] = time
+def _begin(rows: Records, known: F4, now: Targets, fresh: I8, frame: int, time: float) -> None:
+    """Write what is known of the targets ``fresh``, which are new."""
+    label = now.label
+    row = now.row
+    mean = now.mean
+    number = now.number
+    for k in fresh:
+        p = place_of(rows, label[k])
+        target = rows[p]
+        target.first = time
+        target.began_frame = frame
+        target.began_row = row[k]
+        target.weight = target.number = number[k]
+        target.lately_weight = target.lately_number = min(number[k], 1.0)
+        target.updated = time
+        for d in range(mean.shape[1]):
+            known[p, 0, d] = mean[k, d]
+            known[p, 1, d] = mean[k, d]
 
 
 @njit(**INNER)
-def _with_room(before: Seen, label: I8, size: int) -> Seen:
-    """A copy with rows for new labels, ascending; ``size`` is the length of descriptors. Columns
-    that only change with new rows are the same if there are none.
+def _with_room(before: Seen, label: I8, fresh: I8, size: int) -> tuple[Records, F4]:
+    """A copy of rows and looks with rows for the targets ``fresh``, new ones, by ``label`` (n,);
+    ``size`` is the length of descriptors.
     """
-    if label.size == 0:
-        return Seen(
-            before.label,
-            before.identity,
-            before.first,
-            before.last.copy(),
-            before.began,
-            before.ended.copy(),
-            before.xyxy.copy(),
-            before.detections.copy(),
-            before.given,
-            before.alive.copy(),
-            before.mean.copy(),
-            before.weight.copy(),
-            before.number.copy(),
-            before.lately.copy(),
-            before.lately_weight.copy(),
-            before.lately_number.copy(),
-            before.updated.copy(),
-        )
-    count = before.label.size + label.size
-    out = Seen(
-        np.empty(count, np.int64),
-        np.zeros(count, np.int64),
-        np.zeros(count),
-        np.zeros(count),
-        np.zeros((count, 2), np.int64),
-        np.zeros((count, 2), np.int64),
-        np.zeros((count, 4)),
-        np.zeros(count, np.int64),
-        np.zeros(count, np.bool_),
-        np.zeros(count, np.bool_),
-        np.zeros((count, size), np.float32),
-        np.zeros(count),
-        np.zeros(count),
-        np.zeros((count, size), np.float32),
-        np.zeros(count),
-        np.zeros(count),
-        np.zeros(count),
-    )
+    rows = before.rows
+    known = before.looks
+    if fresh.size == 0:
+        return rows.copy(), known.copy()
+    count = rows.size + fresh.size
+    out = np.zeros(count, SEEN)
+    looks = np.empty((count, 2, size), np.float32)
     old = 0
     new = 0
     for p in range(count):
-        if new < label.size and (old == before.label.size or label[new] < before.label[old]):
-            out.label[p] = label[new]
+        if new < fresh.size and (old == rows.size or label[fresh[new]] < rows[old].label):
+            out[p].label = label[fresh[new]]
             new += 1
             continue
-        out.label[p] = before.label[old]
-        out.identity[p] = before.identity[old]
-        out.first[p] = before.first[old]
-        out.last[p] = before.last[old]
-        out.began[p] = before.began[old]
-        out.ended[p] = before.ended[old]
-        out.xyxy[p] = before.xyxy[old]
-        out.detections[p] = before.detections[old]
-        out.given[p] = before.given[old]
-        out.mean[p] = before.mean[old]
-        out.weight[p] = before.weight[old]
-        out.number[p] = before.number[old]
-        out.lately[p] = before.lately[old]
-        out.lately_weight[p] = before.lately_weight[old]
-        out.lately_number[p] = before.lately_number[old]
-        out.updated[p] = before.updated[old]
+        out[p] = rows[old]
+        for d in range(size):
+            looks[p, 0, d] = known[old, 0, d]
+            looks[p, 1, d] = known[old, 1, d]
         old += 1
-    return out
+    return out, looks
 
 
 @njit(**INNER)
 def _look(
-    out: Seen, p: int, looks: Looks, j: int, share: float, memories: tuple[float, float]
-) -> None:
-    """Take detection j into what target p and its identity look like."""
-    seconds = looks.time - out.updated[p]
-    rho = math.exp(-seconds / looks.law.independent)
+    target: Any, seconds: float, share: float, independent: float, rules: Rules
+) -> tuple[float, float]:
+    """Count a detection, ``seconds`` after the last one, for what a target and its identity look
+    like: which part of the means of the identity and of the target it is.
+    """
+    rho = math.exp(-seconds / independent)
     new = share * (1.0 - rho) / (1.0 + rho)
-    own, short = memories
-    kept = math.exp(-seconds / own)
-    out.weight[p] = out.weight[p] * kept + share
-    out.number[p] = max(out.number[p] * kept + new, 1.0)
-    part = np.float32(share / out.weight[p])
-    kept = math.exp(-seconds / short)
-    out.lately_weight[p] = out.lately_weight[p] * kept + share
-    out.lately_number[p] = max(out.lately_number[p] * kept + new, 1.0)
-    lately_part = np.float32(share / out.lately_weight[p])
-    for d in range(looks.mean.size):
-        out.mean[p, d] += part * (looks.raw[j, d] - out.mean[p, d])
-        out.lately[p, d] += lately_part * (looks.raw[j, d] - out.lately[p, d])
-    out.updated[p] = looks.time
+    kept = math.exp(-seconds / rules.memory)
+    target.weight = target.weight * kept + share
+    target.number = max(target.number * kept + new, 1.0)
+    kept = math.exp(-seconds / rules.lately)
+    target.lately_weight = target.lately_weight * kept + share
+    target.lately_number = max(target.lately_number * kept + new, 1.0)
+    return share / target.weight, share / target.lately_weight
+
+
+@njit(**INNER)
+def _move_means(known: F4, p: int, raw: F4, j: int, parts: tuple[float, float]) -> None:
+    """Take row j of ``raw`` (N, D) into both means of target p of ``known`` (K, 2, D), as these
+    ``parts`` of them.
+    """
+    own = np.float32(parts[0])
+    lately = np.float32(parts[1])
+    for d in range(raw.shape[1]):
+        known[p, 0, d] += own * (raw[j, d] - known[p, 0, d])
+        known[p, 1, d] += lately * (raw[j, d] - known[p, 1, d])
 
 
 @njit(**ENTRY)
 def met_after(
-    met: I8, when: F8, known: I8, targets: tuple[I8, F8], time: float, rules: tuple[float, float]
-) -> tuple[I8, F8]:
-    """The pairs of targets that have met, and seconds when they last did, after a frame.
+    met: Records,
+    rows: Records,
+    targets: tuple[I8, F8],
+    time: float,
+    rules: tuple[float, float],
+) -> Records:
+    """The pairs of targets that have met, after a frame, of `MET` and ascending.
 
     Parameters
     ----------
-    met, when : (M,) pairs, ascending, a·`LABELS` + b of labels a < b, and seconds.
-    known : labels of the targets that are remembered, ascending. Pairs of others are forgotten.
-    targets : labels (n,), ascending, and boxes (n, 4) of all targets of the frame.
+    met : those before.
+    rows : (K,) the targets that are remembered, of `SEEN`. Pairs of others are forgotten.
+    targets : labels (n,) and boxes (n, 4) of all targets of the frame.
     time : seconds.
     rules : targets meet where boxes overlap that are larger by this part; pairs are remembered for
         as many seconds.
@@ -368,43 +377,35 @@ def met_after(
     half = 0.5 * (1.0 + larger)
     remembered = np.empty(label.size, np.bool_)
     for a in range(label.size):
-        p = np.searchsorted(known, label[a])
-        remembered[a] = p < known.size and known[p] == label[a]
+        remembered[a] = _has(rows, label[a])
     near = _near(label[remembered], boxes[remembered], half)
-    n = near.size
-    out = np.empty(met.size + n, np.int64)
-    seconds = np.empty(met.size + n)
+    out = np.empty(met.size + near.size, MET)
     count = 0
     k = 0
-    for m in range(met.size):
-        while k < n and near[k] < met[m]:
-            out[count] = near[k]
-            seconds[count] = time
+    for m in range(met.size + 1):
+        # Those near come in between, with the seconds of now.
+        while k < near.size and (m == met.size or near[k] <= met[m].pair):
+            out[count].pair = near[k]
+            out[count].when = time
             count += 1
             k += 1
-        if k < n and near[k] == met[m]:
+        if m == met.size or (k > 0 and near[k - 1] == met[m].pair):
             continue
-        a, b = _places(known, met[m])
-        if a >= 0 and b >= 0 and time - when[m] <= kept:
+        a, b = _places(rows, met[m].pair)
+        if a >= 0 and b >= 0 and time - met[m].when <= kept:
             out[count] = met[m]
-            seconds[count] = when[m]
             count += 1
-    while k < n:
-        out[count] = near[k]
-        seconds[count] = time
-        count += 1
-        k += 1
-    return out[:count].copy(), seconds[:count].copy()
+    return out[:count].copy()
 
 
 @njit(**INNER)
-def _places(known: I8, pair: int) -> tuple[int, int]:
-    """The rows of the labels of a pair among those ``known``, ascending; −1 for one that is not."""
-    a = np.searchsorted(known, pair // LABELS)
-    b = np.searchsorted(known, pair % LABELS)
-    first = int(a) if a < known.size and known[a] == pair // LABELS else -1
-    second = int(b) if b < known.size and known[b] == pair % LABELS else -1
-    return first, second
+def _places(rows: Records, pair: int) -> tuple[int, int]:
+    """The rows of the labels of a pair, −1 for one that has none."""
+    first = pair // LABELS
+    second = pair % LABELS
+    a = place_of(rows, first) if _has(rows, first) else -1
+    b = place_of(rows, second) if _has(rows, second) else -1
+    return a, b
 
 
 @njit(**INNER)
@@ -439,64 +440,88 @@ def _near(label: I8, boxes: F8, half: float) -> I8:
 
 
 @njit(**ENTRY)
-def exchange_odds(seen: tuple[Any, ...], met: I8, looks: Looks, rules: tuple[Any, ...]) -> F8:
+def exchange_odds(seen: Seen, met: Records, looks: Looks, rules: Rules) -> F8:
     """(M,) the log odds that the targets of each pair have exchanged their identities [APP (6)]; −∞
-    where that cannot be known, or they are below 0.
+    where that cannot be known, or they are below 0. Records as plain tuples.
 
     Parameters
     ----------
     seen, met : `Seen`, and pairs of `met_after`.
     looks, rules : of the frame, and `Rules`.
     """
-    known = Seen(*seen)
-    looks = named(looks)
-    rules = Rules(*rules)
+    rows, known = seen
+    odds: F8 = _exchange_odds(rows, known, met, named(looks), Rules(*rules))
+    return odds
+
+
+@njit(**INNER)
+def _exchange_odds(rows: Records, known: F4, met: Records, looks: Looks, rules: Rules) -> F8:
+    """`exchange_odds` of the rows and looks of `Seen`."""
     out = np.full(met.size, -np.inf)
-    if met.size == 0 or not looks.law.means_weight > 0.0:
+    law = looks.law
+    if met.size == 0 or not law.means_weight > 0.0:
         return out
-    directions_of = directions(known.mean, looks.mean), directions(known.lately, looks.mean)
-    fits = np.empty(known.label.size)
-    seen_now = np.empty(known.label.size, np.bool_)
-    for a in range(known.label.size):
-        fits[a] = _fit(known, directions_of, a, a, looks.law)
-        seen_now[a] = _is_seen(known, a, looks.time, rules.least)
+    # Two for each target: of its identity, and of itself just now.
+    both = directions(known.reshape(2 * rows.size, looks.mean.size), looks.mean)
+    fits = np.empty(rows.size)
+    seen_now = np.empty(rows.size, np.bool_)
+    for a in range(rows.size):
+        fits[a] = _fit(rows, both, a, a, law)
+        seen_now[a] = _is_seen(rows[a], looks.time, rules.least)
     for m in range(met.size):
-        a, b = _places(known.label, met[m])
+        a, b = _places(rows, met[m].pair)
         if a < 0 or b < 0:
             continue
         if not (seen_now[a] or seen_now[b]):
             continue
         # One that is hidden just now says nothing; it may have the other's identity all the same.
-        both = known.alive[a] and known.alive[b]
         earliest = looks.time - rules.doubt
-        if not (known.alive[a] or known.last[a] >= earliest):
+        if rows[a].alive == 0 and rows[a].last < earliest:
             continue
-        if not (known.alive[b] or known.last[b] >= earliest):
+        if rows[b].alive == 0 and rows[b].last < earliest:
             continue
-        odds = rules.exchanged if both else rules.exchanged_with_lost
-        odds -= looks.law.doubt + seen_now[a] * fits[a] + seen_now[b] * fits[b]
+        followed = rows[a].alive > 0 and rows[b].alive > 0
+        odds = rules.exchanged if followed else rules.exchanged_with_lost
+        odds -= law.doubt + seen_now[a] * fits[a] + seen_now[b] * fits[b]
         # No ratio of likelihoods is larger than this.
         if odds + (seen_now[a] + seen_now[b]) * MOST <= 0.0:
             continue
         if seen_now[a]:
-            odds += _fit(known, directions_of, a, b, looks.law)
+            odds += _fit(rows, both, a, b, law)
         if seen_now[b]:
-            odds += _fit(known, directions_of, b, a, looks.law)
+            odds += _fit(rows, both, b, a, law)
         out[m] = odds
     return out
 
 
 @njit(**INNER)
-def _is_seen(known: Seen, a: int, time: float, least: float) -> bool:
-    """True if target a is detected now and enough is known of how it looks."""
-    return bool(known.alive[a] and known.last[a] == time and known.lately_number[a] >= least)
+def _is_seen(target: Any, time: float, least: float) -> bool:
+    """True if a target is detected now and enough is known of how it looks."""
+    return bool(target.alive > 0 and target.last == time and target.lately_number >= least)
+
+
+@njit(**ENTRY)
+def undecided_places(rows: Records, time: float, least: int, young: float) -> I8:
+    """The places of targets detected now that are new, so that each may be a lost one.
+
+    ``rows`` (K,) of `SEEN`; ``time``: seconds. ``least``, ``young``: detections from which on a
+    target is compared with those lost, and seconds until which it is.
+    """
+    out = np.empty(rows.size, np.int64)
+    n = 0
+    for p in range(rows.size):
+        row = rows[p]
+        follows = row.alive > 0 and row.given == 0 and row.last == time
+        if follows and row.detections >= least and time - row.first <= young:
+            out[n] = p
+            n += 1
+    return out[:n]
 
 
 @njit(**INNER)
-def _fit(known: Seen, directions_of: tuple[F4, F4], a: int, b: int, law: Law) -> float:
+def _fit(rows: Records, both: F4, a: int, b: int, law: Law) -> float:
     """The log-likelihood ratio that target a, as it looks just now, has the identity of b."""
-    own, lately = directions_of
     ratio: float = ratio_of_means(
-        own, b, known.number[b], lately, a, known.lately_number[a], 0.0, law
+        both, 2 * b, rows[b].number, both, 2 * a + 1, rows[a].lately_number, 0.0, law
     )
     return ratio
