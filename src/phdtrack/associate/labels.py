@@ -49,6 +49,7 @@ from phdtrack.kernels.coasting import STEPS, Followed
 from phdtrack.kernels.label_table import (
     coasting_rows,
     counted,
+    detected_rows,
     followed_after,
     kept_labels,
     shown_rows,
@@ -124,8 +125,10 @@ class LabelTable(NamedTuple):
         table = LabelTable(*after)
         return table, LabelTable(table.label, table.identity, count, last, table.confirmed)
 
-    def renamed(self, label: I8, identity: I8) -> LabelTable:
-        """The table with these identities of those of the labels that have a row."""
+    def renamed(self, change: dict[int, int]) -> LabelTable:
+        """The table with these identities, by label, of those of the labels that have a row."""
+        label = np.array(sorted(change))
+        identity = np.array([change[each] for each in sorted(change)])
         place = np.minimum(self.places(label), len(self.label) - 1)
         there = self.label[place] == label
         names = self.identity.copy()
@@ -264,42 +267,32 @@ class Labelled(Checked):
             followed = self._followed(state.followed, now, present, dt, model)
         else:
             followed = state.followed
-        extended = LabelledState(
-            history, (*recent, now), table, now.time, state.used, followed, state.returns
-        )
+        returns = state.returns
         if model.appearance is not None:
-            extended, present = self._returned(extended, estimates, now, present, model.appearance)
+            returns, change = self._returned(returns, estimates, now, present, model.appearance)
+            if change:
+                table = table.renamed(change)
+                present = present.renamed(change)
+        extended = LabelledState(
+            history, (*recent, now), table, now.time, state.used, followed, returns
+        )
         return self._emitted(extended, present, model)
 
     def _returned(
         self,
-        state: LabelledState,
+        returns: Returns,
         estimates: Estimates,
         now: Moment,
         present: LabelTable,
         looks: Looks,
-    ) -> tuple[LabelledState, LabelTable]:
-        """The state, and what is known at present, with the identities that are given back."""
+    ) -> tuple[Returns, dict[int, int]]:
+        """`reidentified` with the newest frame."""
         names = Names(present.label, present.identity)
-        sure = self._confirmed(present, present.places(now.estimates.tag))
-        returns, change = reidentified(
-            state.returns, estimates, now.rows, now.number, looks, sure, names
+        here = now.estimates
+        rows, sure = detected_rows(
+            tuple(present), here.tag, here.detection, now.row, self.min_track_length
         )
-        state = LabelledState(
-            state.history,
-            state.recent,
-            state.table,
-            state.time,
-            state.used,
-            state.followed,
-            returns,
-        )
-        if not change:
-            return state, present
-        label = np.array(sorted(change))
-        identity = np.array([change[each] for each in sorted(change)])
-        table = state.table.renamed(label, identity)
-        return replace(state, table=table), present.renamed(label, identity)
+        return reidentified(returns, estimates, rows, now.number, looks, sure, names)
 
     def _emitted(
         self, state: LabelledState, present: LabelTable, model: Model
@@ -408,10 +401,6 @@ class Labelled(Checked):
             state.history, state.recent, table, state.time, used, state.followed, state.returns
         )
         return after, Tracks(*columns)
-
-    def _confirmed(self, present: LabelTable, place: I8) -> Bool:
-        """(n,) whether the labels at these places have been confirmed."""
-        return present.confirmed[place] | (present.states[place] >= self.min_track_length)
 
     def _followed(
         self, before: Followed, now: Moment, present: LabelTable, dt: float, model: Model

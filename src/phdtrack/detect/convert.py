@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from phdtrack.arrays import share_inside
 from phdtrack.errors import Checked, InputError, PositiveCount
+from phdtrack.kernels.appearance import all_finite
 from phdtrack.kernels.box import first_not_finite, outermost, plausible_boxes
 from phdtrack.types import F4, F8, I8, Detections, DetectionTable, Matrix, SequenceInfo
 
@@ -171,9 +172,9 @@ def _check_finite(embeddings: F4, table: F8 | F4, where: str) -> None:
     """Raise `InputError` if a row of ``embeddings``, made of the ``table``, has an infinite value
     or a few NaN.
     """
-    bad = ~np.isfinite(embeddings)
-    if not bad.any():
+    if all_finite(np.ascontiguousarray(embeddings)):
         return
+    bad = ~np.isfinite(embeddings)
     wrong = bad.any(axis=1) & ~np.isnan(embeddings).all(axis=1)
     if wrong.any():
         row = int(np.argmax(wrong))

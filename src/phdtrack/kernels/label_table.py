@@ -250,6 +250,23 @@ def shown_rows(
 
 
 @njit(**ENTRY)
+def detected_rows(present: Table, tag: I8, detection: I8, row: I8, least: int) -> tuple[I8, Bool]:
+    """(n,) `Detections.row` of each of a frame's states, −1 without a detection; and whether its
+    label has been confirmed.
+
+    ``present``, ``tag``, ``detection``, ``row``, ``least``: as of `shown_rows` and its ``states``.
+    """
+    label, _, counts, _, confirmed = present
+    out = np.empty(tag.size, np.int64)
+    sure = np.empty(tag.size, np.bool_)
+    for k in range(tag.size):
+        place = first_not_below(label, tag[k])
+        out[k] = row[detection[k]] if detection[k] >= 0 else -1
+        sure[k] = confirmed[place] or counts[place] >= least
+    return out, sure
+
+
+@njit(**ENTRY)
 def kept_labels(label: I8, last: F8, since: float, tag: I8) -> Bool:
     """(a,) whether each label was last detected ``since`` then, or is among the tags."""
     kept = np.empty(label.size, np.bool_)
