@@ -12,9 +12,10 @@ from pathlib import Path
 import pytest
 
 from cli.cli_runner import phdtrack
-from phdtrack.addresses import filled, named, shown
+from phdtrack.addresses import filled, named, resolved, shown
 from phdtrack.cli import signals
 from phdtrack.cli.app import COMMANDS, main
+from phdtrack.cli.live import named_sources
 from phdtrack.errors import InputError
 from phdtrack.run import camera_input
 from phdtrack.video.live_sources import LiveSource, check_address
@@ -160,6 +161,23 @@ def test_passwords_come_from_the_environment_and_files(
     assert said.status == 2
     hook = ["--webhook", "https://u:{env:ABSENT}@h/x"]
     assert phdtrack("live", "0", *hook, "--out", tmp_path / "out").status == 2
+
+
+def test_a_variable_holds_a_whole_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a unit of systemd: the address of a camera, its number, or the name of a file."""
+    monkeypatch.setenv("CAMERA", "rtsp://u:SECRET@h/live")
+    assert resolved("{env:CAMERA}") == "rtsp://u:SECRET@h/live"
+    assert named_sources(["gate={env:CAMERA}"]) == {"gate": "{env:CAMERA}"}
+    assert resolved("a {env:CAMERA}.mp4") == "a {env:CAMERA}.mp4"
+    monkeypatch.setenv("CAMERA", "rtsp://u:SE/CRET@h/live")
+    with pytest.raises(InputError, match="%2F") as caught:
+        check_address("{env:CAMERA}")
+    assert "CRET" not in str(caught.value)
+    monkeypatch.setenv("CAMERA", str(tmp_path / "none.mp4"))
+    with pytest.raises(InputError, match=r"no such file"):
+        named_sources(["{env:CAMERA}"])
+    with pytest.raises(InputError, match="no variable ABSENT"):
+        named_sources(["{env:ABSENT}"])
 
 
 @pytest.mark.parametrize("character", ["/", "?", "#", " "])

@@ -109,9 +109,22 @@ def filled(address: str) -> str:
     environment and the contents of the files, so that other users do not see them in the list of
     processes. Special characters of the values are escaped. The result must not be stored.
 
-    Raises ``LookupError`` with a sentence if there is no such variable or file.
+    A text that is one of these and nothing else is replaced by the value as it is: the whole
+    address. Raises ``LookupError`` with a sentence if there is no such variable or file.
     """
+    whole = _PLACEHOLDER.fullmatch(address)
+    if whole:
+        return _value(whole[1], whole[2])
     return _PLACEHOLDER.sub(lambda match: quote(_value(match[1], match[2]), safe=""), address)
+
+
+def resolved(source: str) -> str:
+    """The camera's address, number or file that a source stands for, as `filled` for addresses; the
+    names of files stay as they are.
+    """
+    if "://" in source or _PLACEHOLDER.fullmatch(source):
+        return filled(source)
+    return source
 
 
 def _value(kind: str, name: str) -> str:

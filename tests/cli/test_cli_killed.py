@@ -247,6 +247,29 @@ def test_a_command_ends_with_exit_functions_and_files_closed(tmp_path: Path) -> 
     assert file.read_text() == "not flushed"
 
 
+@pytest.mark.parametrize("at_work", [False, True])
+def test_python_is_not_taken_apart_under_a_thread_at_work(tmp_path: Path, at_work: bool) -> None:
+    """A compiler in such a thread would abort the process. Commands close their files themselves;
+    one that is left open shows whether Python took itself apart.
+    """
+    code = (
+        "import atexit, sys, threading, time\n"
+        "from phdtrack.cli import signals\n"
+        "atexit.register(print, 'exit function')\n"
+        "file = open(sys.argv[1], 'w')\n"
+        "file.write('left open')\n"
+        "signals.listen()\n"
+        f"if {at_work}:\n"
+        "    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()\n"
+        "signals.leave(3)\n"
+    )
+    file = tmp_path / "file.txt"
+    command = [sys.executable, "-c", code, str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (3, "exit function\n", "")
+    assert file.read_text() == ("" if at_work else "left open")
+
+
 def test_an_early_signal_ends_the_command() -> None:
     done = ended(["settings"], ("threading", "Thread", "start", 1), "SIGTERM")
     assert (done.returncode, done.stderr.strip()) == (143, "phdtrack: stopped")

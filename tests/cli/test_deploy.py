@@ -6,6 +6,9 @@ import configparser
 import json
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from itertools import chain, pairwise
 from pathlib import Path
 
@@ -47,14 +50,31 @@ def commands() -> list[list[str]]:
 
 
 @pytest.mark.parametrize("words", commands(), ids=["compose", "systemd"])
-def test_services_start_a_command_that_exists(words: list[str], tmp_path: Path) -> None:
-    """A camera that is not there fails after all options were understood."""
+def test_services_start_a_command_that_exists(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A camera that is not there fails after all options were understood. Its address is no part of
+    the command, which every user of the machine can see.
+    """
     assert words[0] == "live"
+    monkeypatch.setenv("CAMERA", str(tmp_path / "none.mp4"))
     given = options(words) | {"--host": "127.0.0.1", "--port": "0", "--out": str(tmp_path)}
-    camera = f"entrance={tmp_path / 'none.mp4'}"
-    result = phdtrack("live", camera, *chain(*given.items()), "--duration", "0.1")
-    assert "none.mp4" in result.err
+    result = phdtrack("live", words[1], *chain(*given.items()), "--duration", "0.1")
+    assert "{env:CAMERA}: there is no such file" in result.err
     assert "option" not in result.err.lower()
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
+    text = (DEPLOY / "phdtrack.service").read_text(encoding="utf-8")
+    # The command must exist on the machine that checks.
+    copy = tmp_path / "phdtrack.service"
+    copy.write_text(re.sub(r"/opt/\S+/phdtrack", sys.executable, text), encoding="utf-8")
+    command = ["systemd-analyze", "verify", "--man=no", copy]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    # Other units of this machine may have faults of their own.
+    said = (done.stdout + done.stderr).splitlines()
+    assert not [line for line in said if "phdtrack" in line]
 
 
 def test_the_unit_restarts_and_may_write_only_its_folders() -> None:
@@ -79,5 +99,8 @@ def test_the_container_is_checked_where_it_listens() -> None:
     assert f"- 127.0.0.1:{given['--port']}:{given['--port']}" in text
     assert given["--out"].startswith("/work/")
     assert "cameras:/work" in text
+    # All other folders are read-only, and the image's kernels are for one kind of processor.
+    kept = re.search(r"^ENV NUMBA_CACHE_DIR=(\S+)$", docker, re.MULTILINE)[1]
+    assert f"- kernels:{kept}\n" in text
     entry = re.search(r"^ENTRYPOINT (.*)$", docker, re.MULTILINE)[1]
     assert json.loads(entry) == ["phdtrack"]

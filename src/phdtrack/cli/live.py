@@ -20,7 +20,7 @@ from typing import Annotated
 
 import typer
 
-from phdtrack.addresses import filled, named, shown
+from phdtrack.addresses import filled, named, resolved, shown
 from phdtrack.cli import options as given
 from phdtrack.cli import signals
 from phdtrack.cli.options import PageOptions, option, size
@@ -208,7 +208,8 @@ def named_sources(words: Sequence[str]) -> dict[str, str]:
         name, address = match.groups() if match else ("", word)
         check_address(address)
         name = name or named(address)
-        if "://" not in address and not address.isdecimal() and not Path(address).is_file():
+        place = resolved(address)
+        if "://" not in place and not place.isdecimal() and not Path(place).is_file():
             cure = "Name rtsp://…, http://…, a camera's number or a video."
             raise InputError("there is no such file", where=address, cure=cure)
         if name in found:

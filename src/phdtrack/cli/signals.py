@@ -29,6 +29,8 @@ _listening: list[bool] = []
 # counted, not timed: on a busy machine both threads are slow.
 _LOOK = 0.05
 _HANGS = 28
+# The thread that hears of signals.
+_WATCHER = "phdtrack signals"
 
 
 def listen() -> None:
@@ -44,7 +46,7 @@ def listen() -> None:
     ends = socket.socketpair()
     ends[1].setblocking(False)
     signal.set_wakeup_fd(ends[1].fileno(), warn_on_full_buffer=False)
-    threading.Thread(target=_watch, args=ends, name="phdtrack signals", daemon=True).start()
+    threading.Thread(target=_watch, args=ends, name=_WATCHER, daemon=True).start()
 
 
 def last_chance(what: str) -> None:
@@ -71,17 +73,19 @@ def which() -> str:
 
 
 def leave(code: int) -> None:
-    """End the process with an exit status, also where a thread hangs that reads a source. A signal
-    that comes now ends it at once."""
+    """End the process with an exit status, also where a thread hangs that reads a source, or still
+    compiles kernels. A signal that comes now ends it at once."""
     for number in _numbers():
         if signal.getsignal(number) is _end:
             signal.signal(number, signal.SIG_DFL)
-    waiting = [
+    at_work = [
         one
         for one in threading.enumerate()
-        if one is not threading.main_thread() and not one.daemon
+        if one is not threading.main_thread() and one.name != _WATCHER
     ]
-    if not waiting and not _came:
+    waiting = [one for one in at_work if not one.daemon]
+    # Python takes itself apart under a thread that is at work: a compiler aborts the process then.
+    if not at_work and not _came:
         # Python would look for garbage in all modules once more, for half a second.
         gc.freeze()
         sys.exit(code)

@@ -26,7 +26,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from phdtrack.addresses import filled, shown
+from phdtrack.addresses import resolved, shown
 from phdtrack.errors import InputError, needed
 from phdtrack.files import ffmpeg_name
 from phdtrack.opencv_package import cv2
@@ -46,7 +46,8 @@ CATCH_UP = 3.0
 # Seconds for which packets may contain no picture.
 UNDECODED = 60.0
 _SECRETS = (
-    "rtsp://{env:USER}:{file:PATH}@host takes them from a variable or a file, and escapes them."
+    "rtsp://{env:USER}:{file:PATH}@host takes them from a variable or a file, and escapes them;"
+    " {env:NAME} alone is a whole address."
 )
 
 
@@ -98,8 +99,8 @@ class LiveSource:
     Parameters
     ----------
     address : ``rtsp://…``, ``http://…`` (MJPEG, HLS), a camera's number, or a file, which is played
-        in a loop. A password may be ``{env:NAME}`` or ``{file:PATH}``, which is looked up for each
-        connection.
+        in a loop. A password, or the whole, may be ``{env:NAME}`` or ``{file:PATH}``, which is
+        looked up for each connection.
     connect, read : time-outs in seconds: up to the first picture of a connection, and between
         pictures.
     clock : seconds that only grow, by which pictures arrive and time-outs end.
@@ -273,21 +274,22 @@ class LiveSource:
         """The pictures of one connection, (H, W, 3) arrays or PyAV's, each with its time on the
         clock; 0 for that of its arrival.
         """
-        if self.address.isdecimal():
-            yield from ((picture, 0.0) for picture in self._camera(int(self.address)))
+        address = resolved(self.address)
+        if address.isdecimal():
+            yield from ((picture, 0.0) for picture in self._camera(int(address)))
             return
         av = needed("av")
-        remote = "://" in self.address
+        remote = "://" in address
         options = dict[str, str]()
         if remote:
             # The packets read to detect the codec are kept: pictures up to the next key frame
             # depend on them.
             options = {"flags": "low_delay", "fpsprobesize": "0"}
-        if urlsplit(self.address).scheme.startswith("rtsp"):
+        if urlsplit(address).scheme.startswith("rtsp"):
             options["rtsp_transport"] = "tcp"
         timeout = (self.connect, self.read) if remote else None
-        address = filled(self.address) if remote else ffmpeg_name(self.address)
-        with av.open(address, options=options, timeout=timeout) as container:
+        name = address if remote else ffmpeg_name(address)
+        with av.open(name, options=options, timeout=timeout) as container:
             stream = video_stream(container)
             if stream is None:
                 raise OSError("there is no video in it")
@@ -414,10 +416,10 @@ def check_address(address: str) -> None:
     """Raise `InputError` if it is no address, if a password contains characters that end the host
     of an address and are not escaped, or if a variable or file that it names is missing.
     """
-    if "://" not in address:
-        return
     try:
-        plain = filled(address)
+        plain = resolved(address)
+        if "://" not in plain:
+            return
         urlsplit(plain)
     except LookupError as error:
         raise InputError(str(error), where="SOURCE", cure=_SECRETS) from None
