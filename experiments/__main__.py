@@ -137,6 +137,12 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="list pages that are older than their code and settings",
     )
+    out.add_argument(
+        "--confirm",
+        action="store_true",
+        help="run the short forms of old pages, of all or of these NAMEs, with the code that made"
+        " them and with that of today: those with the same figures count as new",
+    )
     return out
 
 
@@ -148,7 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command.error("--runs and --jobs are numbers from 1 on; 0 stands for the default")
     if parsed.seed is not None and parsed.seed < 0:
         command.error("--seed is a number from 0 on")
-    if parsed.list or not (parsed.names or parsed.check):
+    if parsed.list or not (parsed.names or parsed.check or parsed.confirm):
         print(
             "\n".join(
                 f"{name:<10} {one.about}{'' if one.data else ' (no real data)'}"
@@ -159,6 +165,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if parsed.check:
         return made.check(parsed.out or made.ROOT / "docs" / "results")
     try:
+        if parsed.confirm:
+            from experiments.confirm import confirm
+
+            return confirm(parsed.out or made.ROOT / "docs" / "results", parsed.names)
         run([*EXPERIMENTS] if parsed.names == ["all"] else parsed.names, parsed)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

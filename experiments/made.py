@@ -5,7 +5,8 @@ older than their code.
 (with a + if files had changed since), and a fingerprint of every module of phdtrack and of the
 experiments that the command loaded, in its own process or in its workers, and of the files that
 hold settings. Comments, docstrings and layout do not count for a fingerprint. It is taken when the
-command starts: editing a file during the run makes the page old.
+command starts: editing a file during the run makes the page old. `experiments.confirm` tells
+whether the figures of an old page have changed.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "src" / "phdtrack" / "config"
 SETTINGS = tuple(sorted(one.relative_to(ROOT).as_posix() for one in CONFIG.rglob("*.toml")))
 # Modules that do not affect a page.
-APART = ("experiments/made.py", "experiments/__main__.py")
+APART = ("experiments/made.py", "experiments/confirm.py", "experiments/__main__.py")
 # Pages that are written by hand from the output of a command.
 BY_HAND = {
     "speed": "python -m benchmarks",
@@ -37,8 +38,12 @@ def fingerprint(path: Path) -> str:
     """The fingerprint of a module without comments, docstrings and layout, or of the values of a
     settings file.
     """
-    text = path.read_text(encoding="utf-8")
-    if path.suffix == ".toml":
+    return fingerprint_of(path.read_text(encoding="utf-8"), path.suffix)
+
+
+def fingerprint_of(text: str, suffix: str) -> str:
+    """The `fingerprint` of a file with this text and suffix."""
+    if suffix == ".toml":
         content = json.dumps(tomllib.loads(text), sort_keys=True)
     else:
         tree = ast.parse(text)
@@ -101,14 +106,13 @@ def commit() -> str:
 
 def record(folder: Path, page: str, command: str, modules: Iterable[str]) -> str:
     """Write the entry of a page into ``folder``/made.json; return the line for the page's end."""
-    file = folder / "made.json"
-    entries = _read(file)
+    pages = entries(folder)
     code = {path: at_start().get(path, "") for path in sorted({*modules, *SETTINGS})}
-    entries[page] = {"command": command, "commit": commit(), "code": code}
-    file.write_text(json.dumps(entries, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    pages[page] = {"command": command, "commit": commit(), "code": code}
+    _write(folder, pages)
     settings = hashlib.sha256("".join(code[one] for one in SETTINGS).encode()).hexdigest()[:8]
     return (
-        f"\nMade by `{command}` at commit {entries[page]['commit']}, presets and kinds of settings"
+        f"\nMade by `{command}` at commit {pages[page]['commit']}, presets and kinds of settings"
         f" {settings}.\n"
     )
 
@@ -119,34 +123,44 @@ def record_part(folder: Path, page: str, part: str, command: str, modules: Itera
     The code of the page is that of all its parts; a module that they were made with different
     states of is old.
     """
-    before = _read(folder / "made.json").get(page, {}).get("parts", {})
+    before = entries(folder).get(page, {}).get("parts", {})
     line = record(folder, page, command, modules)
-    file = folder / "made.json"
-    entries = _read(file)
-    new = entries[page]
+    pages = entries(folder)
+    new = pages[page]
     parts = {**before, part: {"commit": new["commit"], "code": new["code"]}}
     states: dict[str, set[str]] = {}
     for each in parts.values():
         for path, value in each["code"].items():
             states.setdefault(path, set()).add(value)
-    entries[page] = {
+    pages[page] = {
         "command": f"python -m experiments {page}",
         "commit": new["commit"],
         "code": {path: those.pop() if len(those) == 1 else "" for path, those in states.items()},
         "parts": parts,
     }
-    file.write_text(json.dumps(entries, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    _write(folder, pages)
     return line
+
+
+def renew(folder: Path, page: str, modules: Iterable[str]) -> None:
+    """Note that the code of today gives the figures of a page, which loads these modules now."""
+    pages = entries(folder)
+    entry = pages[page]
+    for one in (entry, *entry.get("parts", {}).values()):
+        paths = {*one["code"], *modules} & at_start().keys()
+        one["code"] = {path: at_start()[path] for path in sorted(paths)}
+    entry["confirmed"] = commit()
+    _write(folder, pages)
 
 
 def stale(folder: Path) -> dict[str, list[str]]:
     """The pages of ``folder`` that are older than their code, and the modules that have changed
     since; an empty list if the page was never recorded.
     """
-    entries = _read(folder / "made.json")
+    recorded = entries(folder)
     found = dict[str, list[str]]()
     for page in sorted(path.stem for path in folder.glob("*.md") if path.stem not in BY_HAND):
-        known = entries.get(page)
+        known = recorded.get(page)
         changed = (
             [path for path, value in known["code"].items() if at_start().get(path) != value]
             if known
@@ -162,13 +176,13 @@ def check(folder: Path) -> int:
     status, 1 if there are any.
     """
     old = stale(folder)
-    entries = _read(folder / "made.json")
+    recorded = entries(folder)
     for page, changed in old.items():
         if changed:
             few = ", ".join(changed[:3]) + (
                 f" and {len(changed) - 3} more" if len(changed) > 3 else ""
             )
-            print(f"{page}.md is older than {few}: {entries[page]['command']}")
+            print(f"{page}.md is older than {few}: {recorded[page]['command']}")
         else:
             print(
                 f"{page}.md does not say what it was made by: python -m experiments --list has the"
@@ -176,11 +190,20 @@ def check(folder: Path) -> int:
             )
     for page, command in BY_HAND.items():
         print(f"{page}.md is written by hand from what {command} prints, and not checked")
-    if not old:
+    if old:
+        print("python -m experiments --confirm NAME tells whether the figures have changed")
+    else:
         print("all other pages are as new as what they show")
     return 1 if old else 0
 
 
-def _read(file: Path) -> dict[str, Any]:
+def entries(folder: Path) -> dict[str, Any]:
+    """The entries of ``folder``/made.json by page; none if there is no such file."""
+    file = folder / "made.json"
     found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
     return found
+
+
+def _write(folder: Path, pages: Mapping[str, Any]) -> None:
+    text = json.dumps(pages, indent=1, sort_keys=True) + "\n"
+    (folder / "made.json").write_text(text, encoding="utf-8")
