@@ -41,6 +41,11 @@ GOOD = "1,-1,10,20,30,40,0.5,-1,-1,-1\n"
         "frame,id,bb_left,bb_top,bb_width,bb_height,conf,x,y,z\n1,-1,10,20,30,40,0.5,7,8,9\n",
         "x_min,y_min,x_max,y_max,class_id,confidence,tracker_id,frame_number\n10,20,40,60,0,0.5,,1\n",
         "frame,left,top,right,bottom,score,note,\n1,10,20,40,60,0.5,,\n",
+        "image,score,xmin,ymin,xmax,ymax\na/img_00001.jpg,.5,10,20,40,60\n",
+        "x1,y1,x2,y2,conf,filename\n10,20,40,60,.5,f1_jpg.rf.0a1b2c.jpg\n",
+        "frame;x;y;w;h;conf\nC:\\clips\\000001.png;10;20;30;40;0.5\n",
+        # The width and the height are the image's.
+        "filename,width,height,xmin,ymin,xmax,ymax,prob\n1.jpg,640,480,10,20,40,60,0.5\n",
     ],
 )
 def test_usual_notations_of_a_row_are_read(tmp_path: Path, content: str) -> None:
@@ -49,6 +54,27 @@ def test_usual_notations_of_a_row_are_read(tmp_path: Path, content: str) -> None
     np.testing.assert_allclose(table.detections.xyxy, [[10, 20, 40, 60]])
     assert table.detections.confidence.tolist() == [0.5]
     assert table.detections.class_id.tolist() == [0]
+
+
+def test_names_of_images_number_frames(tmp_path: Path) -> None:
+    """The guess is told, and images of several videos are refused."""
+    rows = [
+        "image,label,score,x1,y1,x2,y2",
+        "a/f_0010.jpg,car,.9,1,2,3,4",
+        "a/f_9.jpg,dog,.8,5,6,7,8",
+    ]
+    notices: list[str] = []
+    table = read_detections(put(tmp_path, "\n".join(rows)), notices=notices)
+    assert table.frame.tolist() == [9, 10]
+    assert table.detections.xyxy.tolist() == [[5, 6, 7, 8], [1, 2, 3, 4]]
+    assert len(notices) == 1
+    assert notices[0].endswith("the column image numbers the frames: a/f_0010.jpg is frame 10")
+    with pytest.raises(InputError, match=r"of several videos: a/f_0010.jpg, b/f_9.jpg"):
+        read_detections(put(tmp_path, "\n".join(rows).replace("a/f_9", "b/f_9")))
+    with pytest.raises(InputError, match=r"line 3: expected a number for the frame .* got 'x.jpg'"):
+        read_detections(put(tmp_path, "\n".join(rows).replace("a/f_9", "x")))
+    with pytest.raises(InputError, match=r"no column for the frame.* a column called image"):
+        read_detections(put(tmp_path, "\n".join(rows).replace("image", "when")))
 
 
 @pytest.mark.parametrize(

@@ -9,23 +9,16 @@ images have. Frames count from 0 if an image has this number, and from 1 otherwi
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from phdtrack.conventions import ALL
 from phdtrack.errors import InputError
+from phdtrack.formats.image_names import last_digits
 from phdtrack.formats.json_entry import Entry
 from phdtrack.types import LAST_FRAME
 
-# Hashes at the end of names: Roboflow's, UUIDs, and other long hexadecimal numbers with a letter.
-_HASH = re.compile(
-    r"(_[a-z]{3,4})?\.rf\.\w+$"
-    r"|(^|[._-])[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}$"
-    r"|(^|[._-])(?=\d*[a-f])[0-9a-f]{16,}$",
-    re.IGNORECASE,
-)
 _LISTED = 9
 
 
@@ -141,9 +134,8 @@ def _numbers(images: Sequence[Entry], ids: list[float], notices: list[str]) -> l
     for name in ("frame_id", "frame_index", "frame_number"):
         if images and all(name in image.values for image in images):
             return [image.number(name) for image in images]
-    stems = [_HASH.sub("", _file_name(image.values).stem) for image in images]
-    digits = [match[1] for stem in stems if (match := re.search(r"([0-9]+)[^0-9]*$", stem))]
-    words = [word.lstrip("0")[:20] for word in digits]
+    digits = [last_digits(_file_name(image.values)) for image in images]
+    words = [word.lstrip("0")[:20] for word in digits if word]
     if not len(words) == len(set(words)) == len(images):
         if len(images) > 1 and all("file_name" in image.values for image in images):
             notices.append(

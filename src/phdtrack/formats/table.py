@@ -30,6 +30,7 @@ from phdtrack.conventions import BY_EVIDENCE, Conventions, report
 from phdtrack.errors import InputError, needed
 from phdtrack.formats.checks import MalformedRows, Origin
 from phdtrack.formats.class_words import words_by_number
+from phdtrack.formats.image_names import with_frame_numbers
 from phdtrack.formats.mot_layout import (
     OTHERS_CATEGORY,
     REGION_CATEGORY,
@@ -125,7 +126,8 @@ class Kind(Enum):
 LTWH = (Column.LEFT, Column.TOP, Column.WIDTH, Column.HEIGHT)
 _CORNERS = (Column.LEFT, Column.TOP, Column.RIGHT, Column.BOTTOM)
 _CENTRE_SIZE = (Column.CENTRE_X, Column.CENTRE_Y, Column.WIDTH, Column.HEIGHT)
-_BOXES = (LTWH, _CORNERS, _CENTRE_SIZE, (Column.X, Column.Y, Column.WIDTH, Column.HEIGHT))
+# Corners first: a width and a height beside them may be the image's.
+_BOXES = (_CORNERS, LTWH, _CENTRE_SIZE, (Column.X, Column.Y, Column.WIDTH, Column.HEIGHT))
 _COVARIANCE = tuple(f"cov_{a}_{b}" for i, a in enumerate("xywh") for b in "xywh"[i:])
 
 
@@ -205,6 +207,10 @@ def table_of_text(source: Source, text: Text) -> Table:
             where=text.origin.at(0),
             cure="Give the columns in this order, or name them in a header line.",
         )
+    if text.header:
+        text, sentences = with_frame_numbers(text, Column.FRAME.names, source.path)
+        for sentence in sentences:
+            source.report(sentence)
     header: Sequence[str] = text.header
     mot = MotLayout.MOT15
     if not header:
@@ -377,6 +383,8 @@ def _layout(source: Source, header: Sequence[str], empty: Callable[[int], bool])
         if missing is not None:
             name = missing.names[0]
             cure = f"Name it one of {', '.join(missing.names)}."
+            if missing is Column.FRAME:
+                cure += " Names of images that end in numbers may stand in a column called image."
         raise InputError(
             f"no column for the {name}; the columns are {', '.join(header)[:200]}",
             where=source.path,

@@ -446,6 +446,9 @@ def _blank_frames(
         width, height = frame_size(request.frame_size)
     fps = request.fps or info.fps
     where_else = "or put a seqinfo.ini beside the file or one folder up, or name the video."
+    if not fps and not (width and height):
+        cure = f"Say --frame-size WxH and --fps F, {where_else}"
+        raise InputError("the size and the rate of the frames are not known", where=path, cure=cure)
     if not width or not height:
         cure = f"Say --frame-size WxH, {where_else}"
         raise InputError("the size of the frames is not known", where=path, cure=cure)
