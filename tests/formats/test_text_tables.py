@@ -13,7 +13,7 @@ from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.formats.text import numbers, scan
-from phdtrack.types import SequenceInfo
+from phdtrack.types import F8, DetectionTable, SequenceInfo
 
 GOOD = "1,-1,10,20,30,40,0.5,-1,-1,-1\n"
 
@@ -266,6 +266,27 @@ def test_tracks_read_as_detections_keep_their_class(tmp_path: Path) -> None:
     assert read_detections(path).detections.class_id.tolist() == [2, 2]
     path = put(tmp_path, "1,-1,10,20,30,40,0.9,-1,-1,-1,5\n")
     assert read_detections(path).detections.class_id.tolist() == [5]
+
+
+def test_corners_that_stay_in_the_frame_as_sizes_are_refused(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Their widths are the larger the further right they are; those of large objects are not."""
+    info = SequenceInfo(1280, 720, 25.0)
+    left = rng.uniform(20, 500, 60)
+    top = rng.uniform(20, 250, 60)
+
+    def read(width: F8, height: F8) -> DetectionTable:
+        columns = [np.arange(1, 61), np.full(60, -1), left, top, width, height, np.ones(60)]
+        rows = [",".join(f"{value:.2f}" for value in row) for row in zip(*columns, strict=True)]
+        return read_detections(put(tmp_path, "\n".join(rows)))
+
+    corners = read(left + rng.uniform(30, 70, 60), top + rng.uniform(60, 140, 60))
+    with pytest.raises(InputError, match=r"the wider it is.*--box ltrb.*say --box ltwh"):
+        within_frame(corners, info, tmp_path)
+    assert len(within_frame(corners, info, tmp_path, box="ltwh")[0]) == 60
+    large = read(rng.uniform(510, 700, 60), rng.uniform(260, 400, 60))
+    assert len(within_frame(large, info, tmp_path)[0]) == 60
 
 
 @pytest.mark.parametrize(

@@ -47,10 +47,13 @@ MAX_CLASSES = 100
 # Boxes in shares of the image's size do not exceed this number.
 _MAX_SHARE = 1.5
 # Sizes are in fact corners if, of at least so many boxes, these shares exceed the frame, and have a
-# second corner below and right of the first.
+# second corner below and right of the first. Or if, instead of exceeding the frame, widths have
+# this correlation with places: so it is in 80 of 82 files of real sequences if they are misread
+# this way. Read as they are meant, none of them has that share of such corners.
 _MIN_BOXES = 20
 _MIN_BEYOND = 0.5
 _MIN_CORNERS = 0.95
+_FOLLOWS = 0.9
 
 
 class HasBoxes(Protocol):
@@ -391,7 +394,6 @@ def check_units(
     """
     if not len(xyxy):
         return
-    left, top, right, bottom = xyxy.T
     if not units and xyxy.max() <= _MAX_SHARE < min(size):
         raise InputError(
             unit_warning(Detections.of(xyxy), size),
@@ -400,19 +402,17 @@ def check_units(
         )
     if len(xyxy) < _MIN_BOXES or box:
         return
-    beyond = (right > size[0]) | (bottom > size[1])
-    corners = (right - left > left) & (bottom - top > top)
-    if beyond.mean() > _MIN_BEYOND and corners.mean() > _MIN_CORNERS:
+    sign = _sign_of_corners(xyxy, size)
+    if sign:
         raise InputError(
-            f"{beyond.sum()} of {len(xyxy)} boxes exceed the frame of"
-            f" {size[0]}x{size[1]} pixels; perhaps corners were read as sizes",
+            f"{sign}; perhaps corners were read as sizes",
             where=path,
             cure=(
                 "Say --box ltrb, or name the columns in a header line: frame, left, top, right,"
-                " bottom, score."
+                " bottom, score. If they are sizes, say --box ltwh."
             ),
         )
-    height = bottom - top
+    height = xyxy[:, 3] - xyxy[:, 1]
     scored = (confidence != 1).any()
     if height.max() <= 1 and np.ptp(height) > 0 and not scored:
         raise InputError(
@@ -421,6 +421,23 @@ def check_units(
             where=path,
             cure="Name the columns in a header line: frame, left, top, width, height, score.",
         )
+
+
+def _sign_of_corners(xyxy: F8, size: tuple[int, int]) -> str:
+    """The sign that the second corners of boxes (M, 4) were read as their sizes; empty if there is
+    none.
+    """
+    left, top, right, bottom = xyxy.T
+    width = right - left
+    if ((width > left) & (bottom - top > top)).mean() <= _MIN_CORNERS:
+        return ""
+    beyond = (right > size[0]) | (bottom > size[1])
+    if beyond.mean() > _MIN_BEYOND:
+        return f"{beyond.sum()} of {len(xyxy)} boxes exceed the frame of {size[0]}x{size[1]} pixels"
+    spread = left.std() * width.std()
+    if spread > 0 and np.mean((left - left.mean()) * (width - width.mean())) > _FOLLOWS * spread:
+        return "the further right a box is the wider it is, as right corners would be"
+    return ""
 
 
 def _numbers(values: object, where: str, expected: str = _COLUMNS) -> F8:
