@@ -17,7 +17,7 @@ from phdtrack.cli.evaluate import BY_TRAJECTORY
 from phdtrack.metrics import evaluate
 from phdtrack.metrics.causes import SUMS
 from phdtrack.report import About, Recorder, report_html
-from phdtrack.report.pages import score_meanings
+from phdtrack.report.pages import environment, score_meanings
 from phdtrack.types import SequenceInfo, Tracks, Truth
 
 VOID = {"meta", "img", "br"}
@@ -250,3 +250,12 @@ def test_stated_direction_of_every_score_is_right() -> None:
         )
         assert changes.max() <= 1e-12, name
         assert changes.min() < -1e-6, name
+
+
+def test_a_table_folds_no_single_row() -> None:
+    words = "{% import 'macros.html' as m %}{{ m.table(('a', 'b'), rows) }}"
+    table = environment().from_string(words)
+    shown = {n: table.render(rows=[(str(k), "b") for k in range(n)]) for n in (12, 13)}
+    assert "more" not in shown[12]
+    assert "3 more rows" in shown[13]
+    assert shown[13].count('class="more"') == 3

@@ -253,7 +253,10 @@ def _track_again(
     if lesson.learned is NOWHERE and not run.observers:
         return run, first, tracks
     if lesson.sentence:
-        run.reporter.note(lesson.sentence)
+        # The sentences at the end say where.
+        run.reporter.note(
+            "the scene flickers: the same detections are tracked once more, knowing where"
+        )
     run = replace(run, classes=lesson.taught(run.classes))
     progress = _begun(run)
     known = first.tracker.warnings
