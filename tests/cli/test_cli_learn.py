@@ -177,10 +177,7 @@ def test_false_alarms_unattended(street, tmp_path):
         tmp_path / "short.json",
     )
     assert (said.status, "nothing was learned" in said.err) == (0, True)
-    assert (
-        "false alarms not learned, defaults kept: learning: expected at least 10 detections"
-        in said.out
-    )
+    assert "false alarms not learned, defaults kept: expected at least 10 detections" in said.out
     assert "Look yourself" in said.out
 
 

@@ -20,21 +20,30 @@ from phdtrack.errors import InputError
 from phdtrack.web.serving import listen
 
 PROGRAM = """
+import os
 import sys
+import time
 from pathlib import Path
 from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
+from phdtrack.web.endpoints import endpoint
 from phdtrack.web.serving import listen, serve
 
 async def hello(request):
     return PlainTextResponse("hello")
 
+def wait():
+    print("waits", flush=True)
+    time.sleep(60)
+
 files = [Path(name) for name in sys.argv[2:]] or [None, None]
 address = listen("127.0.0.1", 0, sys.argv[1].split(), *files)
 print(address.url, flush=True)
-serve(Starlette(routes=[Route("/", hello)]), address)
+serve(Starlette(routes=[Route("/", hello), Route("/wait", endpoint(wait))]), address)
 print("ended in order", flush=True)
+# As the commands end: threads that answer a request are left behind.
+os._exit(0)
 """
 
 
@@ -103,6 +112,19 @@ def test_a_page_is_served_until_ctrl_c() -> None:
             body(url + "none")
         child.send_signal(signal.SIGINT)
         out, errors = child.communicate(timeout=30)
+        assert (child.returncode, out, errors) == (0, "ended in order\n", "")
+
+
+@pytest.mark.slow
+def test_a_request_that_is_cut_off_at_the_end_is_no_error() -> None:
+    with started() as (url, child):
+        port = int(url.rpartition(":")[2].strip("/"))
+        with socket.create_connection(("127.0.0.1", port)) as asking:
+            asking.sendall(b"GET /wait HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            assert child.stdout is not None
+            assert child.stdout.readline() == "waits\n"
+            child.send_signal(signal.SIGINT)
+            out, errors = child.communicate(timeout=30)
         assert (child.returncode, out, errors) == (0, "ended in order\n", "")
 
 

@@ -154,7 +154,8 @@ class SceneTraining:
             training, text = learn()
             learned = self._with_prior(training.learned)
         except InputError as error:
-            return TrainingResult(None, math.nan, f"{part} not learned, defaults kept: {error}")
+            reason = ". ".join(filter(None, (error.problem, error.cure)))
+            return TrainingResult(None, math.nan, f"{part} not learned, defaults kept: {reason}")
         gain = "too few samples to measure the gain"
         if math.isfinite(training.gain):
             gain = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import re
 import secrets
 import socket
@@ -103,9 +104,20 @@ def serve(app: ASGIApp, address: Address) -> None:
         ssl_certfile=address.certificate,
         ssl_keyfile=address.key,
     )
-    # Uvicorn ends in order on Ctrl-C and then raises it again.
-    with contextlib.suppress(KeyboardInterrupt):
-        uvicorn.Server(config).run(sockets=[address.listening])
+    server = uvicorn.Server(config)
+    log = logging.getLogger("uvicorn.error")
+
+    def before_the_end(record: logging.LogRecord) -> bool:
+        return not server.should_exit
+
+    # A request that is cut off at the end is no error to report.
+    log.addFilter(before_the_end)
+    try:
+        # Uvicorn ends in order on Ctrl-C and then raises it again.
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[address.listening])
+    finally:
+        log.removeFilter(before_the_end)
 
 
 def _parsed(name: str) -> re.Match[str]:
