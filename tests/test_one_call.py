@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from phdtrack import Detections, Tracker, Tracks, config
+from phdtrack.arrays import to_cxcywh
+from phdtrack.kernels.box import centres_and_sizes
 from phdtrack.kernels.grid import may_be_crowded, uncrowded
 from phdtrack.models import BoxSensor
 from phdtrack.types import SequenceInfo
@@ -92,6 +94,12 @@ def test_points_that_are_not_finite_are_in_no_place() -> None:
     assert may_be_crowded(at, np.ones((2, 4)), 3)
     at[0, 1] = np.nan
     assert not may_be_crowded(at, np.ones((2, 4)), 3)
+
+
+def test_compiled_centres_and_sizes_are_the_plain_ones() -> None:
+    boxes = np.random.default_rng(0).uniform(0, 100, (9, 4))
+    for some in (boxes, boxes[:0]):
+        np.testing.assert_array_equal(centres_and_sizes(some), to_cxcywh(some))
 
 
 LOADED = """

@@ -199,6 +199,7 @@ class ClassSettings:
             z = sensor.measure(own)
             low, high = sensor.gate(z)
             half = (high - low) / 2
+            # Of its own, so that only streams with crowds compile the rest, for 1.5 seconds.
             if not may_be_crowded(np.ascontiguousarray(z[:2]), half, most):
                 continue
             order = np.argsort(-own.confidence, kind="stable")

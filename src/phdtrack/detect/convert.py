@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phdtrack.arrays import share_inside
 from phdtrack.errors import Checked, InputError, PositiveCount
@@ -100,29 +99,35 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     if inner is not None:
         obj = inner
     boxes = getattr(obj, "xyxy", None)
-    if boxes is None:
-        xyxy, score, label = _columns(_numbers(obj, where), where)
-    else:
-        xyxy = _numbers(boxes, where)
-        n = len(xyxy) if xyxy.size else 0
-        if n and (xyxy.ndim != 2 or xyxy.shape[1] != 4):
-            raise InputError(f"expected .xyxy of shape (N, 4), got {xyxy.shape}", where=where)
-        score = _attribute(obj, ("confidence", "conf"), n, where)
-        label = _attribute(obj, ("class_id", "cls"), n, where)
-    n = len(xyxy) if xyxy.size else 0
-    if label is not None:
-        _check_classes(label, where)
-    found = Detections.of(xyxy if n else [], score, label)
+    found = _of_table(obj, where) if boxes is None else _of_object(obj, boxes, where)
     own = _own_embeddings(obj, result)
     if own is not None:
-        found = replace(found, embeddings=as_embeddings(own, n, where))
+        found = replace(found, embeddings=as_embeddings(own, len(found), where))
     return _checked(found, where)
 
 
-def _of_table(values: NDArray[Any], where: str) -> Detections:
-    """The detections of an array, whose shape and classes are checked."""
-    table = values if values.dtype == np.float64 else _numbers(values, where)
-    xyxy, score, label = _columns(table, where)
+def _of_table(values: object, where: str) -> Detections:
+    """The detections of an array-like, whose shape and classes are checked."""
+    if isinstance(values, np.ndarray) and values.dtype == np.float64:
+        table: F8 = values
+    else:
+        table = _numbers(values, where)
+    return _of_columns(*_columns(table, where), where)
+
+
+def _of_object(holder: object, boxes: object, where: str) -> Detections:
+    """The detections of an object with boxes, whose shape and classes are checked."""
+    xyxy = _numbers(boxes, where)
+    n = len(xyxy) if xyxy.size else 0
+    if n and (xyxy.ndim != 2 or xyxy.shape[1] != 4):
+        raise InputError(f"expected .xyxy of shape (N, 4), got {xyxy.shape}", where=where)
+    score = _attribute(holder, ("confidence", "conf"), n, where)
+    label = _attribute(holder, ("class_id", "cls"), n, where)
+    return _of_columns(xyxy, score, label, where)
+
+
+def _of_columns(xyxy: F8, score: F8 | None, label: F8 | None, where: str) -> Detections:
+    """The detections with these boxes, scores and classes, which are checked."""
     if label is not None:
         _check_classes(label, where)
     return Detections.of(xyxy if xyxy.size else [], score, label)

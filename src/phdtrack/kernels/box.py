@@ -92,7 +92,10 @@ def outermost(boxes: F8) -> tuple[float, float, float, float, float]:
 
 @njit(**ENTRY)
 def centres_and_sizes(boxes: F8) -> F8:
-    """(4, n) centre x, centre y, width and height of boxes (n, 4)."""
+    """(4, n) centre x, centre y, width and height of boxes (n, 4): `arrays.to_cxcywh`, compiled.
+
+    That one costs 4 µs more, but needs no Numba, as files and scores do not.
+    """
     out = np.empty((4, len(boxes)))
     for j in range(len(boxes)):
         for a in range(2):
