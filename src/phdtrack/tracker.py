@@ -33,6 +33,7 @@ from phdtrack.detect.convert import (
     HasResult,
     as_detections,
     as_embeddings,
+    sizes_warning,
     unit_warning,
 )
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
@@ -343,6 +344,8 @@ class Tracker:
                 self.on_warning(f"frame {number}: {sentence}")
         if not self._warnings.of_units:
             warning = unit_warning(found, self.classes.limits.frame_size)
+            if left_out.empty and not warning:
+                warning = sizes_warning(found)
             if warning:
                 self._warnings = self._warnings._replace(of_units=True)
                 self._say(f"frame {number}: {warning}")

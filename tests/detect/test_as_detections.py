@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phdtrack.detect.convert import as_detections, unit_warning
+from phdtrack import Tracker
+from phdtrack.detect.convert import as_detections, sizes_warning, unit_warning
 from phdtrack.errors import InputError
 from phdtrack.types import Detections
 
@@ -94,6 +95,32 @@ def test_boxes_in_shares_of_the_frame_are_reported() -> None:
         as_detections([[0.1, 0.2, 0.3, 0.9]]), (640, 480)
     )
     assert unit_warning(as_detections([]), (640, 480)) == ""
+
+
+def test_sizes_in_place_of_corners_are_reported() -> None:
+    said: list[str] = []
+    tracker = Tracker(frame_size=(640, 480), fps=25)
+    tracker.on_warning = said.append
+    for k in range(3):
+        tracker.update([[300 + k, 200, 40, 80], [10, 15, 30, 60], [9, 80, 40, 60]])
+    assert len([each for each in said if "left, top, width, height" in each]) == 1
+    assert "2 of 3 boxes end before they begin" in said[-1]
+    # A detector may give a box without area, or a wrong one among others.
+    assert sizes_warning(as_detections([[50, 50, 50, 60]])) == ""
+    assert sizes_warning(as_detections([[50, 50, 40, 60], [50, 50, 60, 60]])) == ""
+
+
+def test_results_that_are_no_boxes_are_refused_with_a_cure() -> None:
+    results = [boxes(np.zeros((1, 4))), boxes(np.zeros((2, 4)))]
+    with pytest.raises(InputError, match=r"one frame, got those of 2. Call update for each"):
+        as_detections(results)
+    for unusual in (
+        {"boxes": [[1, 2, 3, 4]]},
+        [{"bbox": [1, 2, 3, 4]}],
+        (np.zeros((2, 4)), [1, 1]),
+    ):
+        with pytest.raises(InputError, match="column_stack"):
+            as_detections(unusual)
 
 
 @pytest.mark.parametrize(

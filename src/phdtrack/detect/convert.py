@@ -88,7 +88,7 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     if obj is None:
         cure = "If nothing was detected pass an empty array: numpy.empty((0, 4))."
         raise InputError("expected boxes, got None", where=where, cure=cure)
-    result = obj[0] if isinstance(obj, list | tuple) and len(obj) == 1 else obj
+    result = _of_one_frame(obj, where)
     if getattr(result, "obb", None) is not None:
         raise InputError(
             "expected upright boxes, got oriented ones",
@@ -104,6 +104,20 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     if own is not None:
         found = replace(found, embeddings=as_embeddings(own, len(found), where))
     return _checked(found, where)
+
+
+def _of_one_frame(obj: object, where: str) -> object:
+    """The result that a list of one holds, or any other object as it is. Raises `InputError` for
+    results of several frames.
+    """
+    if not isinstance(obj, list | tuple) or not obj:
+        return obj
+    if len(obj) == 1:
+        return obj[0]
+    if any(getattr(obj[0], name, None) is not None for name in ("boxes", "xyxy")):
+        problem = f"expected the result of one frame, got those of {len(obj)}"
+        raise InputError(problem, where=where, cure="Call update for each frame in turn.")
+    return obj
 
 
 def _of_table(values: object, where: str) -> Detections:
@@ -333,6 +347,20 @@ def unit_warning(found: Detections, size: tuple[float, float]) -> str:
     )
 
 
+def sizes_warning(found: Detections) -> str:
+    """A sentence if sizes seem to be given for second corners: most boxes of a frame would have
+    their right sides left of their left ones, or the lower above the upper; else empty.
+    """
+    wrong = int((found.xyxy[:, 2:] < found.xyxy[:, :2]).any(axis=1).sum())
+    if 2 * wrong <= len(found):
+        return ""
+    return (
+        f"{wrong} of {len(found)} boxes end before they begin: boxes must be left, top, right,"
+        " bottom, and these look like left, top, width, height; boxes[:, 2:] += boxes[:, :2]"
+        " converts them"
+    )
+
+
 def within_frame(
     table: DetectionTable, info: SequenceInfo, path: Path, *, units: str = "", box: str = ""
 ) -> tuple[DetectionTable, tuple[str, ...]]:
@@ -458,7 +486,10 @@ def _numbers(values: object, where: str, expected: str = _COLUMNS) -> F8:
             f"expected {expected}; got {type(values).__name__} that does not convert to numbers"
             f" ({error})"
         )
-        raise InputError(problem, where=where) from None
+        cure = ""
+        if expected == _COLUMNS:
+            cure = "Boxes, scores and classes: numpy.column_stack([boxes, scores, classes])."
+        raise InputError(problem, where=where, cure=cure) from None
 
 
 def _attribute(obj: object, names: tuple[str, str], n: int, where: str) -> F8 | None:
