@@ -205,7 +205,7 @@ def test_likeness_is_its_definition(seed: int, n: int, m: int, size: int):
         twin.likeness(mean[a], count[a], mean[b], count[b], looks)
         for a, b in zip(before, after, strict=True)
     ]
-    found = likeness(mean, count, before, after, plain(looks))
+    found = likeness(mean, count, np.zeros(n + m), before, after, plain(looks))
     np.testing.assert_allclose(found, np.array(wanted), rtol=1e-3, atol=2e-3)
 
 
@@ -233,9 +233,11 @@ def test_likeness_of_what_is_not_known_is_even(rng: np.random.Generator):
     mean = rng.normal(0, 1, (3, 3)).astype(np.float32)
     count = np.array([2.0, 0.0, 3.0])
     pairs = np.array([0, 1, 1]), np.array([1, 2, 0])
-    assert not likeness(mean, count, *pairs, plain(looks)).any()
+    assert not likeness(mean, count, np.zeros(len(count)), *pairs, plain(looks)).any()
     nothing = looks._replace(law=looks.law._replace(means_weight=0.0))
-    found = likeness(mean, count, np.array([0]), np.array([2]), plain(nothing))
+    found = likeness(
+        mean, count, np.zeros(len(count)), np.array([0]), np.array([2]), plain(nothing)
+    )
     assert not found.any()
 
 
@@ -248,7 +250,9 @@ def test_the_ratio_never_falls_with_similarity(rng: np.random.Generator):
         looks = a_frame(rng, 0, size, law=law)._replace(mean=np.zeros(size, np.float32))
         mean = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         mean = np.vstack([mean, [[1, 0]]]).astype(np.float32)
-        ratio = likeness(mean, np.full(61, 5.0), np.arange(60), np.full(60, 60), plain(looks))
+        ratio = likeness(
+            mean, np.full(61, 5.0), np.zeros(61), np.arange(60), np.full(60, 60), plain(looks)
+        )
         assert (np.diff(ratio) >= -1e-5).all()
 
 
