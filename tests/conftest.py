@@ -6,7 +6,7 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -15,6 +15,8 @@ from hypothesis import settings
 from browsers import CHROMIUM, FLAGS
 
 if TYPE_CHECKING:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
     from playwright.sync_api import Browser
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -70,3 +72,37 @@ def browser() -> Iterator[Browser]:
 def rng() -> np.random.Generator:
     """A generator with a fixed seed."""
     return np.random.default_rng(20090706)
+
+
+@pytest.fixture
+def drawn() -> None:
+    """Reports with their drawings, also where ``undrawn`` holds for all tests of a folder."""
+
+
+@pytest.fixture
+def undrawn(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Reports without what matplotlib draws, which takes two thirds of the time of a short run.
+
+    Figures are made, filled and laid into the page as ever; `tests/report` has them drawn.
+    """
+    if "drawn" in request.fixturenames:
+        yield
+        return
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", save_empty)
+        patch.setattr(FigureCanvasAgg, "draw", draw_nothing)
+        yield
+
+
+def save_empty(figure: Figure, file: IO[bytes], **_: object) -> None:
+    """Write an SVG without content."""
+    assert figure.axes
+    file.write(b'<svg xmlns="http://www.w3.org/2000/svg"/>')
+
+
+def draw_nothing(canvas: FigureCanvasAgg) -> None:
+    """Leave the pixels transparent."""
+    canvas.renderer = canvas.get_renderer()

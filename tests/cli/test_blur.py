@@ -26,6 +26,9 @@ from phdtrack.run.requests import SourceRequest
 from phdtrack.types import Image
 from phdtrack.video import VideoWriter, open_source
 
+# Maps of reports are pictures too.
+pytestmark = pytest.mark.usefixtures("drawn")
+
 WIDE = 320
 HIGH = 240
 SIDE = 64
