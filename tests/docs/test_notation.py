@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,8 @@ def members(node: ast.ClassDef) -> set[str]:
     return fields | {one.name for one in node.body if isinstance(one, ast.FunctionDef)}
 
 
-def read() -> tuple[set[str], dict[str, set[str]], set[str]]:
+@cache
+def code() -> tuple[set[str], dict[str, set[str]], set[str]]:
     """Identifiers, the members of each class, and the dotted names of modules and their parts."""
     names = set[str]()
     classes = dict[str, set[str]]()
@@ -59,14 +61,12 @@ def read() -> tuple[set[str], dict[str, set[str]], set[str]]:
     return names, classes, dotted
 
 
-NAMES, CLASSES, DOTTED = read()
-
-
 @pytest.mark.parametrize("name", code_names())
 def test_code_has_every_name(name: str) -> None:
+    names, classes, dotted = code()
     first, _, rest = name.partition(".")
-    known = name in NAMES or name in DOTTED
-    assert known or rest in CLASSES.get(first, set()), f"the code has no {name}"
+    known = name in names or name in dotted
+    assert known or rest in classes.get(first, set()), f"the code has no {name}"
 
 
 def test_notation_has_names() -> None:
