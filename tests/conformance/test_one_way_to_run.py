@@ -43,6 +43,8 @@ from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks
 from phdtrack.video import VideoWriter
 from phdtrack.video.live_sources import LiveFrame, SourceStatus
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 INFO = SequenceInfo(320, 240, 25.0, 50, "walkers")
 NAMES = {0: "person", 3: "car"}
 SEED = 1
