@@ -137,7 +137,15 @@ def course(filter_name, seed, sets=(), frames=FRAMES, interval=1.0, **detector):
     return rates, len(found) / frames, state.detection_scores
 
 
-@pytest.mark.parametrize("p_detect", [0.5, 0.7, 0.9, 0.98])
+@pytest.mark.parametrize(
+    "p_detect",
+    [
+        0.5,
+        pytest.param(0.7, marks=pytest.mark.slow),
+        pytest.param(0.9, marks=pytest.mark.slow),
+        0.98,
+    ],
+)
 @pytest.mark.parametrize("clutter", [0.0, 20.0])
 def test_detection_and_clutter_converge_from_the_defaults(p_detect, clutter):
     ends = []

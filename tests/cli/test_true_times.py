@@ -284,7 +284,7 @@ def test_compare_tracks_at_the_same_times(tmp_path: Path) -> None:
     np.testing.assert_allclose(together.xyxy, alone.xyxy, atol=1e-2)
 
 
-@pytest.mark.parametrize("name", ["variable.mp4", "even.ts"])
+@pytest.mark.parametrize("name", ["variable.mp4", pytest.param("even.ts", marks=pytest.mark.slow)])
 def test_segments_are_cut_by_time(tmp_path: Path, name: str) -> None:
     times, begin = VIDEOS[name]
     video = scene(tmp_path / "in", name, times, begin)

@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from phdtrack.cli.app import application
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks
 from phdtrack.formats.stream import stream_detections
@@ -94,6 +96,7 @@ def test_malformed_stream_line_is_named(content: str, words: str, pieces: int) -
     assert words in str(error.value)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_tracking_a_pipe_equals_tracking_the_file(tmp_path: Path) -> None:
     """Frames without rows are frames in which nothing was detected."""
     frames = [*range(3, 40), *range(45, 80), *range(100_000, 100_030)]
@@ -103,26 +106,18 @@ def test_tracking_a_pipe_equals_tracking_the_file(tmp_path: Path) -> None:
         for j in range(3)
     )
     (tmp_path / "det.txt").write_text(rows)
-    command = [
-        sys.executable,
-        "-m",
-        "phdtrack",
-        "track",
-        "--fps",
-        "25",
-        "--frame-size",
-        "640x480",
-        "--detections",
-    ]
-    for name, source, given in (("file", tmp_path / "det.txt", ""), ("pipe", "-", rows)):
-        done = subprocess.run(
-            [*command, source, "--out", tmp_path / name],
-            input=given,
-            text=True,
-            capture_output=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
+    words = ["track", "--fps", "25", "--frame-size", "640x480", "--detections"]
+    from_file = [*words, str(tmp_path / "det.txt"), "--out", str(tmp_path / "file")]
+    said = CliRunner().invoke(application("track"), from_file)
+    assert said.exit_code == 0, said.stderr
+    done = subprocess.run(
+        [sys.executable, "-m", "phdtrack", *words, "-", "--out", tmp_path / "pipe"],
+        input=rows,
+        text=True,
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
     online = [(tmp_path / name / "tracks_online.csv").read_text() for name in ("file", "pipe")]
     assert online[0] == online[1]
     assert online[0].count("\n") > 150

@@ -17,6 +17,10 @@ from phdtrack.types import F4, F8, I8, Tracks
 from tracker_cases import equal
 
 SEEDS = (1, 2, 3, 4, 5, 6)
+FEW = SEEDS[:3]
+few_and_many = pytest.mark.parametrize(
+    "seeds", [FEW, pytest.param(SEEDS, marks=pytest.mark.slow)], ids=["few", "many"]
+)
 FRAMES = 200
 D = 16
 # MOTA and IDF1, online and corrected.
@@ -129,18 +133,13 @@ def figures(seed: int, name: str) -> Figures:
     return (scores[0].MOTA, scores[0].IDF1, scores[1].MOTA, scores[1].IDF1)
 
 
-def gains(name: str) -> np.ndarray:
-    """(4,) mean gains over those without descriptors."""
-    return gains_of_seeds(name).mean(axis=0)
-
-
-def gains_of_seeds(name: str) -> np.ndarray:
+def gains(name: str, seeds: tuple[int, ...]) -> np.ndarray:
     """(seeds, 4) gains over those without descriptors."""
-    return np.array([np.subtract(figures(k, name), figures(k, "")) for k in SEEDS])
+    return np.array([np.subtract(figures(k, name), figures(k, "")) for k in seeds])
 
 
 def test_constant_descriptors_change_nothing():
-    np.testing.assert_array_equal(gains("constant"), 0)
+    np.testing.assert_array_equal(gains("constant", FEW), 0)
 
 
 @pytest.mark.parametrize("filter_", ["gm-phd", "none", "mht", "pmbm"])
@@ -154,19 +153,21 @@ def test_constant_looks_change_nothing_for_other_filters(filter_: str):
     assert equal(plain.tracks(), other.tracks())
 
 
+@few_and_many
 @pytest.mark.parametrize("name", list(SOURCES)[1:-1])
-def test_wrong_descriptors_do_no_harm(name: str):
+def test_wrong_descriptors_do_no_harm(name: str, seeds: tuple[int, ...]):
     """Within 0.003 of none, or better, as far as so many seeds can tell."""
-    each = gains_of_seeds(name)
+    each = gains(name, seeds)
     error = each.std(axis=0, ddof=1) / np.sqrt(len(each))
     assert (each.mean(axis=0) > -0.003 - 2 * error).all()
     # Not by a large error alone.
     assert (each.mean(axis=0) > -0.015).all()
 
 
-def test_right_descriptors_keep_identities():
+@few_and_many
+def test_right_descriptors_keep_identities(seeds: tuple[int, ...]):
     """In the same scenes, so that the tests above could see harm."""
-    mota, idf1, corrected_mota, corrected_idf1 = gains("right")
+    mota, idf1, corrected_mota, corrected_idf1 = gains("right", seeds).mean(axis=0)
     assert mota > 0.01
     assert idf1 > 0.02
     assert corrected_mota > 0.01

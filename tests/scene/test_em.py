@@ -80,10 +80,11 @@ def test_em_recovers_weights_and_means(case, uniform, seed):
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("uniform", [1e-3, 0.1])
-def test_em_explains_held_out_samples(case, uniform):
+@pytest.mark.parametrize("sets", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_em_explains_held_out_samples(case, uniform, sets):
     dim, counts, n = CASES[case]
     behind = []
-    for seed in range(4, 8):
+    for seed in range(4, 4 + sets):
         p = known(dim, uniform)
         rng = np.random.default_rng(seed)
         samples = drawn_of(p, n, rng)
