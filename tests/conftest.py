@@ -74,18 +74,18 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20090706)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def drawn() -> None:
-    """Reports with their drawings, also where ``undrawn`` holds for all tests of a folder."""
+    """Reports with their drawings, for a module in a folder of which ``undrawn`` holds."""
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def undrawn(request: pytest.FixtureRequest) -> Iterator[None]:
     """Reports without what matplotlib draws, which takes two thirds of the time of a short run.
 
     Figures are made, filled and laid into the page as ever; `tests/report` has them drawn.
     """
-    if "drawn" in request.fixturenames:
+    if any("drawn" in mark.args for mark in request.node.iter_markers("usefixtures")):
         yield
         return
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -5,6 +5,6 @@ from __future__ import annotations
 import pytest
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def reports_without_drawings(undrawn: None) -> None:
-    """Most tests of commands do not look at charts; those that do ask for ``drawn``."""
+    """Most tests of commands do not look at charts; modules that do use ``drawn``."""
