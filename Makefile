@@ -30,6 +30,9 @@ SITE := build/site
 CODE := src tests experiments scripts benchmarks
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Modules are installed without bytecode, and tests start hundreds of processes: each would compile
+# all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
