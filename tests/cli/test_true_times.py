@@ -88,6 +88,8 @@ VIDEOS = {
     "even.ts": (EVEN, 1.4),
     "hour.ts": (EVEN, 3600.0),
 }
+# The second of each kind of container, and of each kind of times.
+OTHERS = ("variable.mkv", "even.ts")
 
 
 @pytest.mark.parametrize("name", VIDEOS)
@@ -160,7 +162,10 @@ def test_annotated_videos_have_the_times_of_the_source(tmp_path: Path, name: str
     np.testing.assert_allclose(found_part, times[40:60] - times[40], atol=2e-3)
 
 
-@pytest.mark.parametrize("name", VIDEOS)
+@pytest.mark.parametrize(
+    "name",
+    ["variable.mp4", "hour.ts", *(pytest.param(one, marks=pytest.mark.slow) for one in OTHERS)],
+)
 def test_the_counted_picture_hides_boxes(tmp_path: Path, name: str) -> None:
     times, begin = VIDEOS[name]
     video = scene(tmp_path / "in", name, times, begin)

@@ -84,7 +84,9 @@ def ratio_of(taken: tuple[tuple[int, int], ...], looks: list[Looks]) -> tuple[fl
     return total, past
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", [pytest.param("two that cross", marks=pytest.mark.slow), *list(SCENES)[1:]]
+)
 def test_hypotheses_are_weighed_by_their_pasts(name: str):
     """Every history by enumeration, times the likelihood ratios of its tracks."""
     scans, who = SCENES[name]

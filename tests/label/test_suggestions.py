@@ -68,7 +68,12 @@ def scene(name, seed, clutter):
 
 
 @pytest.mark.parametrize(
-    ("name", "seed", "clutter"), [("street", 1, 2.0), ("street", 2, 10.0), ("corridor", 1, 2.0)]
+    ("name", "seed", "clutter"),
+    [
+        ("street", 1, 2.0),
+        pytest.param("street", 2, 10.0, marks=pytest.mark.slow),
+        pytest.param("corridor", 1, 2.0, marks=pytest.mark.slow),
+    ],
 )
 def test_places_and_scattered_false_alarms_of_simulated_scenes(name, seed, clutter):
     """Five places that fire every other time, and Poisson clutter: nearly all is found, and hardly

@@ -137,7 +137,7 @@ def test_an_empty_run_has_a_report() -> None:
 sizes = st.integers(1, 3000)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     st.integers(0, 30),
     st.integers(0, 6),

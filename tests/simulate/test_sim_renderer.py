@@ -127,9 +127,9 @@ def changing(scene: Scene, look: Look, frames: int) -> np.ndarray:
 
 
 def test_plants_change_often_but_not_always() -> None:
-    scene = make_scene("empty", 0, frames=150, detector=NOTHING)
+    scene = make_scene("empty", 0, frames=80, detector=NOTHING)
     look = replace(STILL, plants=5, wave=0.09)
-    moving = changing(scene, look, 150)
+    moving = changing(scene, look, 80)
     boxes = video(scene, look).plant_boxes
     assert boxes.shape == (5, 4)
     near = np.zeros(moving.shape[1:], bool)
