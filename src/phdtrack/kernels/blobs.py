@@ -291,7 +291,10 @@ def _dilated(bits: U8, width: int, element: I8) -> U8:
     out = np.zeros(bits.shape, np.uint64)
     spread = bits.copy()
     last = bits.shape[1] - 1
-    for reach in range(element.max() + 1):
+    widest = 0
+    for i in range(len(element)):
+        widest = max(widest, element[i])
+    for reach in range(widest + 1):
         ahead = D(reach)
         back = D(_BITS - reach)
         if reach > 0:

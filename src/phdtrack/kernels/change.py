@@ -31,6 +31,7 @@ from phdtrack.kernels.planes import (
     relit,
     smooth,
 )
+from phdtrack.kernels.small_arrays import copy_rows
 
 Pixel = tuple[np.int32, np.int32, np.int32]
 Weights = tuple[np.float32, np.float32, np.float32, np.float32]
@@ -153,7 +154,7 @@ def changed(
     raw, energy, level = compare(image, reference, light, scene, rule, camera, past)
     _border(raw, beyond, 0)
     mask, near = cleaned(raw, cleaning, MARGIN)
-    foreground[:] = near
+    copy_rows(near, foreground)
     _border(foreground, beyond, 255)
     return mask, energy, light, level
 

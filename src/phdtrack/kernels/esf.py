@@ -17,6 +17,7 @@ import numpy as np
 from phdtrack.kernels import F8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.small_arrays import copy_into
 
 
 @njit(**INNER)
@@ -57,7 +58,7 @@ def log_sums_without(log_a: F8, log_b: F8, products: F8, log_w: F8) -> F8:
     m = log_a.size
     top = min(log_w.size, products.shape[1])
     after = np.full(top + 1, -np.inf)
-    after[:top] = log_w[:top]
+    copy_into(log_w[:top], after)
     out = np.empty(m)
     for k in range(m - 1, -1, -1):
         largest = -np.inf

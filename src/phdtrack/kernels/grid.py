@@ -14,7 +14,7 @@ import numpy as np
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.small_arrays import flags, zeros
+from phdtrack.kernels.small_arrays import copy_into, flags, zeros
 
 
 class Grid(NamedTuple):
@@ -226,12 +226,12 @@ def overlapping_pairs(low: F8, high: F8, grid: Grid) -> tuple[I8, I8]:
         if count + some > first.size:
             longer_first = np.empty(2 * (count + some), np.int64)
             longer_second = np.empty(2 * (count + some), np.int64)
-            longer_first[:count] = first[:count]
-            longer_second[:count] = second[:count]
+            copy_into(first[:count], longer_first)
+            copy_into(second[:count], longer_second)
             first = longer_first
             second = longer_second
         first[count : count + some] = i
-        second[count : count + some] = near[:some]
+        copy_into(near[:some], second[count:])
         count += some
     return first[:count].copy(), second[:count].copy()
 

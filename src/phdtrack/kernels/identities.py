@@ -22,7 +22,7 @@ from phdtrack.kernels.appearance import (
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import records
-from phdtrack.kernels.small_arrays import first_not_below
+from phdtrack.kernels.small_arrays import copy_into, first_not_below
 
 # Two labels as one number, the lower one first: for fewer labels than this.
 LABELS = 1 << 31
@@ -432,7 +432,7 @@ def _near(label: I8, boxes: F8, half: float) -> I8:
             if abs(y[a] - y[b]) < height[a] + height[b]:
                 if n == out.size:
                     more = np.empty(2 * n, np.int64)
-                    more[:n] = out
+                    copy_into(out, more)
                     out = more
                 out[n] = min(label[a], label[b]) * LABELS + max(label[a], label[b])
                 n += 1

@@ -27,6 +27,7 @@ from phdtrack.kernels.particle_blocks import (
     reaching,
     weigh,
 )
+from phdtrack.kernels.small_arrays import copy_into, copy_rows
 
 # A centre that has moved by less than this many deviations has not moved.
 STILL = 0.02
@@ -498,7 +499,7 @@ def _grown(old: Candidates, sums: F8, new: Candidates, k: int) -> tuple[Candidat
 def _with_zeros(numbers: I8, size: int) -> I8:
     """The numbers, followed by zeros."""
     out = np.zeros(size, np.int64)
-    out[: numbers.size] = numbers
+    copy_into(numbers, out)
     return out
 
 
@@ -638,9 +639,9 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
     row = np.zeros((2 * even(d) + 4, widest), blocks.state.dtype)
     which = np.empty(widest, np.int32)
     box = np.empty((blocks.mass.size, 3, d))
-    box[:, 0] = blocks.low
-    box[:, 1] = blocks.high
-    box[:, 2] = blocks.middle
+    copy_rows(blocks.low, box[:, 0])
+    copy_rows(blocks.high, box[:, 1])
+    copy_rows(blocks.middle, box[:, 2])
     now = _begun(centres.copy(), 1.0 / scales, rule.reach)
     steps = np.zeros(k, np.int64)
     strays = np.zeros(k, np.int64)

@@ -37,6 +37,7 @@ from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INLINED, INNER
 from phdtrack.kernels.gaussian import PAIR, copy_gaussian, factor, norm2
 from phdtrack.kernels.grid import Grid, make_grid, overlapping
+from phdtrack.kernels.small_arrays import ascending_at
 from phdtrack.kernels.verdicts import DOUBTFUL, write_verdicts
 
 # A vertex keeps its best links, at most so many. It has more if 25 states are near it in each of 50
@@ -142,7 +143,7 @@ def _best_links(target: I8, gain: F8) -> int:
     """
     if gain.size <= MOST_LINKS:
         return gain.size
-    least = np.sort(gain)[gain.size - MOST_LINKS]
+    least = ascending_at(gain, gain.size - MOST_LINKS)
     kept = 0
     for k in range(gain.size):
         if gain[k] >= least and kept < MOST_LINKS:

@@ -1,13 +1,16 @@
-"""Arrays of one value, and a place in an ordered array, for kernels.
+"""Arrays of one value, copies into arrays, and places in ordered arrays, for kernels.
 
-Numba compiles `numpy.zeros`, `numpy.ones`, `numpy.full` and `numpy.searchsorted` anew for each way
-to call them, with the texts of errors and broadcasting, which takes several times as long as these
-loops.
+Numba compiles `numpy.zeros`, `numpy.ones`, `numpy.full`, `numpy.searchsorted`, `numpy.sort` and
+``out[:n] = values`` anew for each way to call them, with the texts of errors and broadcasting,
+which takes many times as long as these loops.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
@@ -49,6 +52,51 @@ def flags(n: int, value: bool) -> Bool:
     for i in range(n):
         out[i] = value
     return out
+
+
+@njit(**INNER)
+def copy_into(values: NDArray[Any], out: NDArray[Any]) -> None:
+    """Write the values (n,) into the first n places of ``out``."""
+    for i in range(values.size):
+        out[i] = values[i]
+
+
+@njit(**INNER)
+def copy_rows(values: NDArray[Any], out: NDArray[Any]) -> None:
+    """Write the values (m, n) into ``out`` (m, n)."""
+    for i in range(values.shape[0]):
+        for k in range(values.shape[1]):
+            out[i, k] = values[i, k]
+
+
+@njit(**INNER)
+def ascending_at(values: F8, place: int) -> float:
+    """The value that would be at this place, from 0, if the values (n,), no NaN, were sorted.
+
+    Hoare's selection: those on the wrong side of a pivot change sides, until it is in its place.
+    """
+    part = np.empty(values.size)
+    copy_into(values, part)
+    low = 0
+    high = part.size - 1
+    while low < high:
+        pivot = part[place]
+        i = low
+        k = high
+        while i <= k:
+            while part[i] < pivot:
+                i += 1
+            while part[k] > pivot:
+                k -= 1
+            if i <= k:
+                part[i], part[k] = part[k], part[i]
+                i += 1
+                k -= 1
+        if k < place:
+            low = i
+        if place < i:
+            high = k
+    return float(part[place])
 
 
 @njit(**INNER)
