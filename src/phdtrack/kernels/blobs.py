@@ -151,7 +151,8 @@ def edges(now: U1, reference: F4, mask: U1, reach: int, boxes: I8) -> F8:
                     out[k, 0] += _gradient(now, rows, columns)
                     out[k, 1] += _gradient(reference, rows, columns)
                     count += 1
-        out[k] /= max(count, 1)
+        out[k, 0] /= max(count, 1)
+        out[k, 1] /= max(count, 1)
     return out
 
 
