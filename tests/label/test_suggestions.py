@@ -89,6 +89,7 @@ def test_places_and_scattered_false_alarms_of_simulated_scenes(name, seed, clutt
     assert found["short"][0] == 0
 
 
+@pytest.mark.slow
 def test_in_a_crowd_who_is_hidden_is_rejected_too():
     """The limit that is stated: where people hide each other, four of ten rejected detections are
     true.
