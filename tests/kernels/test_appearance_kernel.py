@@ -199,13 +199,14 @@ def test_likeness_is_its_definition(seed: int, n: int, m: int, size: int):
     looks = a_frame(rng, 0, size)
     mean = rng.normal(0.2, 0.3, (n + m, size)).astype(np.float32)
     count = rng.uniform(0.5, 20, n + m)
+    seconds = rng.uniform(0, 9, n + m)
     before, after = np.indices((n, m)).reshape(2, -1)
     after = n + after
     wanted = [
-        twin.likeness(mean[a], count[a], mean[b], count[b], looks)
+        twin.likeness(mean[a], count[a], mean[b], count[b], looks, min(seconds[a], seconds[b]))
         for a, b in zip(before, after, strict=True)
     ]
-    found = likeness(mean, count, np.zeros(n + m), before, after, plain(looks))
+    found = likeness(mean, count, seconds, before, after, plain(looks))
     np.testing.assert_allclose(found, np.array(wanted), rtol=1e-3, atol=2e-3)
 
 

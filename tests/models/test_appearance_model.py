@@ -60,7 +60,9 @@ def ratios(state: AppearanceSeen, a: np.ndarray, b: np.ndarray, rule: Appearance
     assert known is not None
     n = len(a)
     mean = np.vstack([a, b]).astype(np.float32)
-    return likeness(mean, np.full(2 * n, 10.0), np.arange(n), n + np.arange(n), plain(known))
+    number = np.full(2 * n, 10.0)
+    never = np.zeros(2 * n)
+    return likeness(mean, number, never, np.arange(n), n + np.arange(n), plain(known))
 
 
 def test_nothing_is_worth_anything_before_lessons(rng: np.random.Generator):

@@ -121,16 +121,24 @@ def followed_by(past: Past | None, j: int, looks) -> Past | None:
     )
 
 
-def likeness(mean: np.ndarray, count: float, other: np.ndarray, other_count: float, looks) -> float:
+def likeness(
+    mean: np.ndarray,
+    count: float,
+    other: np.ndarray,
+    other_count: float,
+    looks,
+    seconds: float = 0.0,
+) -> float:
     """The log-likelihood ratio that two means of so many independent descriptors are of one object:
-    of one whose looks may have changed by `CHANCE`.
+    of one whose looks may have changed by `CHANCE`, for so many seconds if a second is usual.
     """
     law = looks.law
     noise = (1 - law.signal) / law.signal
     expected = law.means_same / math.sqrt((1 + noise / count) * (1 + noise / other_count))
     s = float(direction(mean, looks.mean) @ direction(other, looks.mean))
     found = gain(s, expected, law.means_deviation, law.means_other, law.means_other_deviation)
-    return law.means_weight * math.log(CHANCE + (1 - CHANCE) * math.exp(found))
+    odd = CHANCE * math.exp(-seconds / ODD_TIME)
+    return law.means_weight * math.log(odd + (1 - odd) * math.exp(found))
 
 
 def free_parts(boxes: np.ndarray) -> list[float]:
