@@ -229,6 +229,16 @@ def test_a_signal_is_not_lost_where_python_drops_what_is_raised() -> None:
     assert (done.returncode, done.stderr) == (143, "")
 
 
+def left_by(code: str, file: Path) -> str:
+    """What a program, which is given its name, has written into a file. It must end with status 3
+    and say what its exit function says.
+    """
+    command = [sys.executable, "-c", code, str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (3, "exit function\n", "")
+    return file.read_text()
+
+
 def test_a_command_ends_with_exit_functions_and_files_closed(tmp_path: Path) -> None:
     """Garbage is not looked for any more, but whatever is to be done at the end is done."""
     code = (
@@ -240,11 +250,7 @@ def test_a_command_ends_with_exit_functions_and_files_closed(tmp_path: Path) -> 
         "signals.listen()\n"
         "signals.leave(3)\n"
     )
-    file = tmp_path / "file.txt"
-    command = [sys.executable, "-c", code, str(file)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (3, "exit function\n", "")
-    assert file.read_text() == "not flushed"
+    assert left_by(code, tmp_path / "file.txt") == "not flushed"
 
 
 @pytest.mark.parametrize("at_work", [False, True])
@@ -263,11 +269,7 @@ def test_python_is_not_taken_apart_under_a_thread_at_work(tmp_path: Path, at_wor
         "    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()\n"
         "signals.leave(3)\n"
     )
-    file = tmp_path / "file.txt"
-    command = [sys.executable, "-c", code, str(file)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (3, "exit function\n", "")
-    assert file.read_text() == ("" if at_work else "left open")
+    assert left_by(code, tmp_path / "file.txt") == ("" if at_work else "left open")
 
 
 def test_an_early_signal_ends_the_command() -> None:

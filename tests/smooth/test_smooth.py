@@ -211,7 +211,9 @@ def test_log_odds_equal_the_ratio_of_densities(seed: int):
     seen = Sequence.of(measured, model)
     paths = paths_of(tracks, measured)
     settings = Stitching(0.4 * model.rate, 2.0 * model.rate, 0.0, 0.25)
-    before, after, odds = candidates(paths, seen.smooth(paths), seen, settings)
+    before, after, odds = candidates(
+        paths, seen.smooth(paths), seen, settings, paths.track_of(measured)
+    )
     assert (before.tolist(), after.tolist()) == ([0], [1])
     one = np.concatenate([np.arange(9), np.full(5, -1), np.arange(9, 19)])
     ratio = twin.log_density(model.motion, measured.time, seen, one)

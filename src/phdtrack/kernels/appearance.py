@@ -170,7 +170,7 @@ def similarity_gain(similarity: float, law: Law) -> float:
 
 
 @njit(**INLINED)
-def _likelihoods(
+def _of_past(
     similar: float, similar_last: float, time: float, past: Any, law: Law
 ) -> tuple[float, float]:
     """p(s | the same object)/p(s | another object) of a ``past``, a record of `PAST`, and the
@@ -367,7 +367,7 @@ def pair_ratios(
         if h >= 0 and free[j] > 0.0:
             similar = similarity_of(directions_before, 2 * h, seen, j)
             similar_last = similarity_of(directions_before, 2 * h + 1, seen, j)
-            ratio, _ = _likelihoods(similar, similar_last, looks.time, rows[h], law)
+            ratio, _ = _of_past(similar, similar_last, looks.time, rows[h], law)
             out[q] = law.weight * free[j] * math.log(ratio)
     return out
 
@@ -490,8 +490,7 @@ def pasts_after(
     source = _sources(hypotheses, looks.free)
     rows = np.empty(len(source), PAST)
     own = np.empty((len(source), 2, len(looks.mean)), np.float32)
-    _write_numbers(source, pasts.rows, looks, directions_before, rows)
-    _write_looks(source, pasts, looks, rows, own)
+    _write(source, pasts, looks, directions_before, rows, own)
     return rows, own
 
 
@@ -527,21 +526,27 @@ def _sources(hypotheses: Records, free: F8) -> I8:
 
 
 @njit(**INNER)
-def _write_numbers(
-    source: I8, before: Records, looks: Looks, directions_before: F4, rows: Records
+def _write(
+    source: I8, pasts: Pasts, looks: Looks, directions_before: F4, rows: Records, own: F4
 ) -> None:
-    """Write `Pasts.rows` of `_sources`; ``before``: those of the frame before."""
+    """Write `Pasts.rows` and `Pasts.looks` of `_sources`; ``pasts``: those of the frame before."""
     # As variables: a record of arrays would count its references in every round.
+    before = pasts.rows
+    looks_before = pasts.looks
     seen = looks.seen
+    raw = looks.raw
     free = looks.free
     law = looks.law
     for n in range(len(source)):
         h = source[n, 0]
         j = source[n, 1]
+        row = rows[n]
         if j < 0:
             rows[n] = before[h]
+            for d in range(own.shape[2]):
+                own[n, 0, d] = looks_before[h, 0, d]
+                own[n, 1, d] = looks_before[h, 1, d]
             continue
-        row = rows[n]
         row.weight = free[j]
         row.number = 1.0
         row.odd = 0.0
@@ -556,26 +561,10 @@ def _write_numbers(
             row.number = max(old.number * kept + new, 1.0)
             similar = similarity_of(directions_before, 2 * h, seen, j)
             similar_last = similarity_of(directions_before, 2 * h + 1, seen, j)
-            _, after = _likelihoods(similar, similar_last, looks.time, old, law)
+            _, after = _of_past(similar, similar_last, looks.time, old, law)
             row.odd = old.odd + free[j] * (after - old.odd)
-
-
-@njit(**INNER)
-def _write_looks(source: I8, pasts: Pasts, looks: Looks, rows: Records, own: F4) -> None:
-    """Write `Pasts.looks` of `_sources`, with their ``rows``."""
-    before = pasts.looks
-    raw = looks.raw
-    free = looks.free
-    for n in range(len(source)):
-        h = source[n, 0]
-        j = source[n, 1]
-        if j < 0:
-            for d in range(own.shape[2]):
-                own[n, 0, d] = before[h, 0, d]
-                own[n, 1, d] = before[h, 1, d]
-            continue
-        part = np.float32(free[j] / rows[n].weight)
+        part = np.float32(free[j] / row.weight)
         for d in range(own.shape[2]):
-            mean = before[h, 0, d] if h >= 0 else raw[j, d]
+            mean = looks_before[h, 0, d] if h >= 0 else raw[j, d]
             own[n, 0, d] = mean + part * (raw[j, d] - mean)
             own[n, 1, d] = raw[j, d]

@@ -25,7 +25,7 @@ from phdtrack.kernels.box import Noise, box_covariances, predicted_boxes
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
 from phdtrack.kernels.grid import sorted_along, within
-from phdtrack.kernels.small_arrays import floats
+from phdtrack.kernels.small_arrays import floats, select
 
 # Degrees of freedom of the errors of boxes, and of a camera's motion.
 FREEDOM = 4.0
@@ -97,28 +97,9 @@ def differences(mean: F8, covariance: F8, noise: F8, z: F8, scale: F8) -> tuple[
 
 @njit(**INNER)
 def _middle(values: F8) -> float:
-    """The median of values (n,), one or more, whose order changes (Hoare's selection)."""
+    """The median of values (n,), one or more, whose order changes."""
     half = values.size // 2
-    low = 0 * half
-    high = values.size - 1
-    while low < high:
-        pivot = values[half]
-        i = low
-        j = high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while pivot < values[j]:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if j < half:
-            low = i
-        if half < i:
-            high = j
-    middle: float = values[half]
+    middle: float = select(values, half)
     if values.size % 2 == 0:
         below: float = values[0]
         for k in range(half):

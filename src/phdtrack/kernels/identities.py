@@ -239,15 +239,8 @@ def place_of(rows: Records, label: int) -> int:
     """The first place in rows, ascending by label, whose label is not below this one, or their
     number.
     """
-    low = 0 * rows.size
-    high = rows.size
-    while low < high:
-        middle = (low + high) // 2
-        if rows[middle].label < label:
-            low = middle + 1
-        else:
-            high = middle
-    return low
+    place: int = first_not_below(rows["label"], label)
+    return place
 
 
 @njit(**INNER)

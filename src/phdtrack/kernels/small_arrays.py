@@ -71,32 +71,39 @@ def copy_rows(values: NDArray[Any], out: NDArray[Any]) -> None:
 
 @njit(**INNER)
 def ascending_at(values: F8, place: int) -> float:
-    """The value that would be at this place, from 0, if the values (n,), no NaN, were sorted.
+    """The value that would be at this place, from 0, if the values (n,), no NaN, were sorted."""
+    part = np.empty(values.size)
+    copy_into(values, part)
+    found: float = select(part, place)
+    return found
+
+
+@njit(**INNER)
+def select(values: F8, place: int) -> float:
+    """`ascending_at` of values whose order changes: none before the place is above it then.
 
     Hoare's selection: those on the wrong side of a pivot change sides, until it is in its place.
     """
-    part = np.empty(values.size)
-    copy_into(values, part)
-    low = 0
-    high = part.size - 1
+    low = 0 * place
+    high = values.size - 1
     while low < high:
-        pivot = part[place]
+        pivot = values[place]
         i = low
         k = high
         while i <= k:
-            while part[i] < pivot:
+            while values[i] < pivot:
                 i += 1
-            while part[k] > pivot:
+            while values[k] > pivot:
                 k -= 1
             if i <= k:
-                part[i], part[k] = part[k], part[i]
+                values[i], values[k] = values[k], values[i]
                 i += 1
                 k -= 1
         if k < place:
             low = i
         if place < i:
             high = k
-    return float(part[place])
+    return float(values[place])
 
 
 @njit(**INNER)

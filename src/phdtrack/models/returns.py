@@ -37,7 +37,7 @@ NEARBY = 0.5
 DRIFT = 1.0
 
 # The log odds that two that have met have exchanged identities. Errors of looks in a meeting last,
-# so that these are low.
+# so that this is low.
 EXCHANGED = -4.5
 
 

@@ -93,7 +93,7 @@ class _Pairs(NamedTuple):
 
 
 def stitched(
-    paths: Paths, sequence: Sequence, settings: Stitching, whole: I8 | None = None
+    paths: Paths, sequence: Sequence, settings: Stitching, whole: I8
 ) -> tuple[Paths, Smoothed]:
     """Join the paths of one target, and smooth the states of all rows.
 
@@ -132,7 +132,7 @@ def candidates(
     states: Smoothed,
     sequence: Sequence,
     settings: Stitching,
-    whole: I8 | None = None,
+    whole: I8,
 ) -> tuple[I8, I8, F8]:
     """All pairs that may be of one target: path ``after`` (P,) continues ``before`` (P,) with these
     log-odds (P,).
@@ -159,8 +159,7 @@ def candidates(
         before.append(pairs.before)
         after.append(pairs.after)
         if ends is not None:
-            if whole is not None:
-                odds = np.where(_parted(paths, pairs, whole), np.minimum(odds, -EXCHANGED), odds)
+            odds = np.where(_parted(paths, pairs, whole), np.minimum(odds, -EXCHANGED), odds)
             odds = odds + ends.likeness(pairs.before, pairs.after)
         log_odds.append(odds)
     return np.concatenate(before), np.concatenate(after), np.concatenate(log_odds)
