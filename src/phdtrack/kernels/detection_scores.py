@@ -162,6 +162,17 @@ def _blended(before: F8, prior: F8, kept: float) -> F8:
     return out
 
 
+# A row is not assigned as a whole: Numba would compile what it says of arrays of different shapes.
+@njit(**INNER)
+def _blended_square(before: F8, prior: F8, kept: float) -> F8:
+    """`_blended` of matrices (2, 2)."""
+    out = np.empty((2, 2))
+    for r in range(2):
+        for c in range(2):
+            out[r, c] = kept * before[r, c] + (1 - kept) * prior[r, c]
+    return out
+
+
 @njit(**MERGED)
 def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) -> tuple[F8, F8, F8]:
     """The line after one step of Newton's method with the verdicts on detections with these x; old
@@ -173,10 +184,7 @@ def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) ->
     kept = max(1 - n / remembered, 0.0)
     information = _blended(information, start, kept)
     verdicts = _blended(verdicts, first, kept)
-    precision = precision.copy()
-    for r in range(2):
-        for c in range(2):
-            precision[r, c] = kept * precision[r, c] + (1 - kept) * own[r, c]
+    precision = _blended_square(precision, own, kept)
     verdicts[0] += true.size
     verdicts[1] += false.size
     scale = precision[0, 0] * precision[1, 1] - precision[0, 1] * precision[0, 1]
@@ -227,9 +235,7 @@ def steadier(
     kept = max(1 - n / remembered, 0.0)
     information = _blended(before.information, prior.information, kept)
     breaks = _blended(before.breaks, prior.breaks, kept)
-    precision = np.empty((2, 2))
-    for r in range(2):
-        precision[r] = _blended(before.precision[r], prior.precision[r], kept)
+    precision = _blended_square(before.precision, prior.precision, kept)
     a, b = _mean_of(information, precision)
     of_target = breaks[0] / breaks[1]
     more = (1.0 - of_target) * flicker
