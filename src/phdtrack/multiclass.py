@@ -15,6 +15,7 @@ scores. A corrected track has one class, an online row the best one by then.
 from __future__ import annotations
 
 import copy
+import pickle
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -25,6 +26,7 @@ import numpy as np
 from phdtrack import pipeline
 from phdtrack.detect.convert import MAX_CLASSES, DiscardedBoxes, Limits
 from phdtrack.kernels.grid import may_be_crowded, uncrowded
+from phdtrack.kernels.second_compiler import SECOND
 from phdtrack.models.warp import joined
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
@@ -320,6 +322,7 @@ class ClassPipelines:
         self._past: deque[tuple[int, float, F8, bool]] = deque(maxlen=_REPLAYED)
         # Identities are one's own among all classes; new ones are higher than this.
         self.highest = 0
+        SECOND.offer(lambda: pickle.dumps((classes, seed)))
 
     @property
     def _all(self) -> dict[int, _ClassPipeline]:

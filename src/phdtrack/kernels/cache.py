@@ -27,6 +27,8 @@ from typing import Any
 import numba
 from numba.core import event
 
+from phdtrack.kernels.second_compiler import SECOND
+
 _LOG = logging.getLogger(__name__)
 _COMPILING = (
     "phdtrack compiles its kernels (ten seconds or more, once on this machine: they are kept for"
@@ -46,11 +48,14 @@ _TEMPORARY = list[str]()
 
 
 njit: Callable[..., Callable[[Callable[..., Any]], Any]] = numba.njit
+# True in a process that runs kernels without compilation, to learn the types of their arguments.
+INTERPRETED = False
 
 
 # Numba has no types.
 class _Compilations(event.Listener):  # type: ignore[misc]
     """Announces, once, that kernels of this package are being compiled; not if they are loaded.
+    Shares the work with a second process.
 
     Garbage collection is paused meanwhile: Numba creates little garbage, and the search for it
     takes a tenth of the time.
@@ -67,15 +72,22 @@ class _Compilations(event.Listener):  # type: ignore[misc]
             self._collecting = gc.isenabled()
             gc.disable()
         self._depth += 1
-        if self._sentence and event.data["dispatcher"].py_func.__module__.startswith("phdtrack."):
+        function = event.data["dispatcher"].py_func
+        if not function.__module__.startswith("phdtrack."):
+            return
+        if self._sentence:
             _LOG.warning(self._sentence)
             self._sentence = ""
+        if self._depth == 1:
+            SECOND.compiling(f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}")
 
     def on_end(self, event: event.Event) -> None:
         """A function has been compiled, or failed to be."""
         self._depth -= 1
-        if self._depth == 0 and self._collecting:
-            gc.enable()
+        if self._depth == 0:
+            SECOND.compiled()
+            if self._collecting:
+                gc.enable()
 
 
 def prepare() -> None:
@@ -95,6 +107,7 @@ def prepare() -> None:
         folder = _numbas_folder()
     event.register("numba:compile", _Compilations(_COMPILING if lasting else _ALWAYS_COMPILING))
     _remove_outdated(folder, _digests())
+    SECOND.prepare(folder)
 
 
 def _digests() -> dict[str, str]:
@@ -139,6 +152,11 @@ def _remove_outdated(folder: Path, digests: dict[str, str]) -> None:
     stamp.write_text(now)
 
 
+def without_compilation() -> bool:
+    """True if kernels are run as Python."""
+    return INTERPRETED or bool(numba.config.DISABLE_JIT)
+
+
 def are_kept() -> bool:
     """True if kernels of earlier processes are kept, so that they are loaded and not compiled."""
     if numba.config.DISABLE_JIT:
@@ -164,5 +182,5 @@ def _numbas_folder() -> Path:
         # happens to be.
         raise RuntimeError("no home")
     # Defined, never compiled: it is enough to learn the folder.
-    probe: Any = njit(cache=True)(_numbas_folder)
+    probe: Any = numba.njit(cache=True)(_numbas_folder)
     return Path(probe.stats.cache_path)

@@ -28,10 +28,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import config
 
 from phdtrack.kernels import F8, I8, Records
-from phdtrack.kernels.cache import njit
+from phdtrack.kernels.cache import njit, without_compilation
 from phdtrack.kernels.fast32 import ENTRY, INLINED, INNER
 from phdtrack.kernels.grid import cell_of, sorted_by_cell
 
@@ -123,7 +122,7 @@ def records(floats: str, integers: str) -> np.dtype[np.void]:
     Without compilation Python must read the fields as attributes.
     """
     fields = [(name, "f8") for name in floats.split()] + [(name, "i8") for name in integers.split()]
-    if config.DISABLE_JIT:
+    if without_compilation():
         return np.dtype((np.record, fields))
     return np.dtype(fields)
 

@@ -23,6 +23,7 @@ import numpy as np
 from numba.extending import overload
 
 from phdtrack.kernels import F8, Real
+from phdtrack.kernels.cache import without_compilation
 from phdtrack.kernels.fast32 import FAST, HALF, ONE, by_type
 
 Number = Any
@@ -60,7 +61,7 @@ def kernel_for(kernel: Callable[..., Any], model: Any) -> Callable[..., Any]:
     class is not of this package. If it were kept on disk, no program without that class could
     read what is kept.
     """
-    if numba.config.DISABLE_JIT or type(model).__module__.startswith("phdtrack."):
+    if without_compilation() or type(model).__module__.startswith("phdtrack."):
         return kernel
     return _not_kept(kernel)
 
