@@ -21,6 +21,7 @@ sys.path[:0] = [str(TESTS), str(TESTS / "conformance"), str(TESTS.parent)]
 
 import shipped  # noqa: E402
 
+from appearance_cases import LOOKS, frame_of, tracker_of  # noqa: E402
 from composed import composed_step  # noqa: E402
 from experiments.bearing import BearingSensor, TurningMotion  # noqa: E402
 from phdtrack import Tracker  # noqa: E402
@@ -120,6 +121,15 @@ def detect() -> None:
         detector(Frame(k + 1, k / 25, image))
 
 
+def recognise() -> None:
+    """Follow boxes with embeddings, of which one is not detected for a while."""
+    for name in ("pmb", "pmbm", "gm-phd", "none"):
+        tracker = tracker_of(filter={"kind": name})
+        for k in range(60):
+            tracker.update(frame_of([1, 2, 3] if 30 <= k < 45 else [0, 1, 2, 3], k, LOOKS))
+        tracker.tracks()
+
+
 def gaussians() -> None:
     follow(GAUSSIAN)
 
@@ -128,6 +138,7 @@ def others() -> None:
     detect()
     extract()
     associate()
+    recognise()
     follow(PARTICLES)
 
 
