@@ -12,6 +12,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 import pytest
 from hypothesis import settings
+from markupsafe import Markup
 
 from browsers import CHROMIUM, FLAGS
 
@@ -21,6 +22,13 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 ROOT = Path(__file__).resolve().parent.parent
+# What fills the pages of runs.
+PAGES = (
+    "phdtrack.run.run_report.report_html",
+    "phdtrack.run.grouping.render",
+    "phdtrack.live.counting.render",
+    "phdtrack.cli.count.render",
+)
 
 # On a busy machine a call may take long: no test fails because of the time it takes.
 settings.register_profile("phdtrack", deadline=None)
@@ -92,14 +100,16 @@ def drawn() -> None:
 
 
 @pytest.fixture(scope="module")
-def undrawn(request: pytest.FixtureRequest) -> Iterator[None]:
+def paged() -> None:
+    """Complete pages of reports, for a module in a folder of which ``blank`` holds."""
+
+
+@pytest.fixture(scope="module")
+def undrawn() -> Iterator[None]:
     """Reports without what matplotlib draws, which takes two thirds of the time of a short run.
 
     Figures are made, filled and laid into the page as ever; `tests/report` has them drawn.
     """
-    if any("drawn" in mark.args for mark in request.node.iter_markers("usefixtures")):
-        yield
-        return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -107,6 +117,32 @@ def undrawn(request: pytest.FixtureRequest) -> Iterator[None]:
         patch.setattr(Figure, "savefig", save_empty)
         patch.setattr(FigureCanvasAgg, "draw", draw_nothing)
         yield
+
+
+@pytest.fixture(scope="module")
+def blank(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Reports whose pages are blank, which would take a third of the time of a short run.
+
+    Everything that they rest on is computed. Modules that look at pages have them ``paged``,
+    without drawings, or ``drawn``.
+    """
+    names = [name for mark in request.node.iter_markers("usefixtures") for name in mark.args]
+    if "drawn" in names:
+        yield
+        return
+    if "paged" in names:
+        request.getfixturevalue("undrawn")
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        for function in PAGES:
+            patch.setattr(function, blank_page)
+        yield
+
+
+def blank_page(*_: object, **context: object) -> Markup:
+    """A page without content."""
+    return Markup("<html></html>")
 
 
 def save_empty(figure: Figure, file: IO[bytes], **_: object) -> None:

@@ -20,6 +20,9 @@ from phdtrack.simulate import DetectorModel, Rendered, make_scene
 from phdtrack.types import STILL, Detections, Frame
 from phdtrack.video import VideoWriter
 
+# Tests look at pages.
+pytestmark = pytest.mark.usefixtures("paged")
+
 FRAMES = 60
 
 

@@ -10,6 +10,9 @@ from cli_runner import phdtrack, refused
 
 from phdtrack.formats import read_tracks_named
 
+# Tests look at pages.
+pytestmark = pytest.mark.usefixtures("paged")
+
 SIZE = ("--frame-size", "320x240", "--fps", 25)
 
 

@@ -17,6 +17,9 @@ from phdtrack.live.counting import drawn
 from phdtrack.live.zones import Place
 from phdtrack.video import VideoWriter
 
+# Tests look at pages.
+pytestmark = pytest.mark.usefixtures("paged")
+
 LINE = "middle=160,0,160,240"
 ZONE = "left=0,0,100,0,100,240,0,240"
 

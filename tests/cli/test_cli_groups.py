@@ -17,6 +17,9 @@ from phdtrack.run import directory as rundir
 from phdtrack.scene import LearnedDensity, Scene, SceneDensity, write_scene
 from phdtrack.video import VideoWriter, open_source
 
+# Tests look at pages.
+pytestmark = pytest.mark.usefixtures("paged")
+
 # Ten pixels are a metre, x to the right and y up, the origin in the lower left corner.
 CAMERA = (
     "homography = [[0.1, 0.0, 0.0], [0.0, -0.1, 24.0], [0.0, 0.0, 1.0]]\nmaps ="

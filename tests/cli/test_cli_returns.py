@@ -18,6 +18,9 @@ from phdtrack.cli.app import application
 from phdtrack.formats import read_tracks
 from phdtrack.types import F4, F8
 
+# Tests look at pages.
+pytestmark = pytest.mark.usefixtures("paged")
+
 FPS = 10.0
 LEFT = 151
 BACK = 201

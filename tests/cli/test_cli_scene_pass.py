@@ -17,6 +17,9 @@ from phdtrack.formats import read_tracks
 from phdtrack.run import directory as rundir
 from phdtrack.video import VideoWriter
 
+# Tests look at pages.
+pytestmark = pytest.mark.usefixtures("paged")
+
 SAME = (rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS)
 # Ends its own process by a signal after some frames of the second pass.
 KILLED = """

@@ -51,11 +51,11 @@ def test_which_of_several_streams_is_read_is_told(tmp_path: Path, kind: str) -> 
     assert WORDS in source.note
 
 
+@pytest.mark.usefixtures("batch_here")
 def test_every_command_tells_which_stream_it_reads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("phdtrack.run.run_report.report_html", lambda *_: "")
     video = two_streams(tmp_path / "two.mkv")
     boxes = tmp_path / "det.txt"
     rows = [f"{k},-1,{5 + k},10,12,20,0.9,-1,-1,-1" for k in range(1, FRAMES + 1)]

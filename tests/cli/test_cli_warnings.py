@@ -10,6 +10,9 @@ from cli_runner import phdtrack, walkers
 
 from phdtrack.run import directory as rundir
 
+# Tests look at pages.
+pytestmark = pytest.mark.usefixtures("paged")
+
 EQUAL = "of the scores are 0.5: scores that are all the same"
 
 

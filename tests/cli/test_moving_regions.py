@@ -33,11 +33,10 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def work(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    # Pictures of a report take longer than all that is looked at here.
-    monkeypatch.setattr("phdtrack.run.run_report.report_html", lambda *_: "")
     return tmp_path
 
 
+@pytest.mark.usefixtures("batch_here")
 def test_each_command_says_what_moving_regions_are(work: Path, clip: Path) -> None:
     for words in (
         ("track", clip, "--no-video", "--out", "run"),

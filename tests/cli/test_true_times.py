@@ -260,6 +260,7 @@ def test_stamps_far_ahead_do_not_split_a_walker(tmp_path: Path) -> None:
     np.testing.assert_allclose([float(row.split(",")[0]) for row in rows], [5.0, 10.5], atol=0.21)
 
 
+@pytest.mark.usefixtures("batch_here")
 def test_rows_before_the_first_states_have_true_times(tmp_path: Path) -> None:
     """Nobody is there while the rate changes; the corrected track begins before its first state."""
     video = scene(tmp_path / "in", "v.mp4", VARIABLE)
@@ -290,6 +291,7 @@ def test_compare_tracks_at_the_same_times(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["variable.mp4", pytest.param("even.ts", marks=pytest.mark.slow)])
+@pytest.mark.usefixtures("batch_here")
 def test_segments_are_cut_by_time(tmp_path: Path, name: str) -> None:
     times, begin = VIDEOS[name]
     video = scene(tmp_path / "in", name, times, begin)

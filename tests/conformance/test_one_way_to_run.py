@@ -43,7 +43,7 @@ from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks
 from phdtrack.video import VideoWriter
 from phdtrack.video.live_sources import LiveFrame, SourceStatus
 
-pytestmark = pytest.mark.usefixtures("undrawn")
+pytestmark = pytest.mark.usefixtures("blank")
 
 INFO = SequenceInfo(320, 240, 25.0, 50, "walkers")
 NAMES = {0: "person", 3: "car"}
