@@ -214,7 +214,13 @@ def test_unobserved_frames_before_the_first_change_nothing(kind: str) -> None:
         check_same(rows, replace(others, frame=others.frame - 3))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+# Nothing is computed for such frames but rows: by labels, or by the graph.
+ROWS = ("pmb", "gm-phd")
+
+
+@pytest.mark.parametrize(
+    "kind", [*ROWS, *(pytest.param(k, marks=pytest.mark.slow) for k in KINDS if k not in ROWS)]
+)
 def test_a_thousand_unobserved_frames_stay_bounded_and_fast(kind: str) -> None:
     plain = tracker_of(kind)
     paused = tracker_of(kind)

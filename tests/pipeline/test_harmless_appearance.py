@@ -17,7 +17,7 @@ from phdtrack.types import F4, F8, I8, Tracks
 from tracker_cases import equal
 
 SEEDS = (1, 2, 3, 4, 5, 6)
-FEW = SEEDS[:3]
+FEW = SEEDS[:2]
 few_and_many = pytest.mark.parametrize(
     "seeds", [FEW, pytest.param(SEEDS, marks=pytest.mark.slow)], ids=["few", "many"]
 )
