@@ -14,7 +14,7 @@ from experiments import e13
 from experiments.common import Case, detections_in, mot15, need_data
 from phdtrack.formats import read_truth
 from phdtrack.simulate import DetectorModel, Rendered, add_clutter, detect, make_scene
-from phdtrack.types import SequenceInfo
+from phdtrack.types import SequenceInfo, Truth
 
 # A sequence and the kind of its detections: public or frcnn; simulated from its truth; of a
 # simulated scene, without or with repeated false alarms; of a rendered scene, by a detector.
@@ -56,6 +56,12 @@ def short(cases: Sequence[Named]) -> tuple[Named, ...]:
     return tuple(case for case in cases if case[0] in ("TUD-Campus", "KITTI-17"))
 
 
+def annotated(sequence: str) -> tuple[SequenceInfo, Truth]:
+    """An annotated sequence without detections."""
+    file, info = _ANNOTATED[sequence]
+    return info, read_truth(need_data() / file)
+
+
 @lru_cache(maxsize=8)
 def real_case(sequence: str, kind: str) -> Case:
     """A sequence with its ``public`` or ``frcnn`` detections, read once per process."""
@@ -86,8 +92,7 @@ def drawn(name: Named, seed: int) -> Case:
     if kind == "rendered":
         return rendered(sequence, seed)
     if kind == "made":
-        file, info = _ANNOTATED[sequence]
-        truth = read_truth(need_data() / file)
+        info, truth = annotated(sequence)
         return Case(
             sequence, info, truth, detect(truth, info, np.random.default_rng(seed), _DETECTOR).table
         )

@@ -9,6 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from phdtrack.compare.statistics import interval
+
 # The forms in which a paper's method is run.
 WORDS = "word by word"
 MENDED = "as one must"
@@ -27,22 +31,26 @@ class Claim:
     printed : its figures.
     form : how the method was run: `WORDS`, `MENDED`, `OURS`, or another name.
     ours : our figures.
-    where : by case, whether the claim holds there.
+    where : by case, whether the claim holds there; None: the difference is within its error.
     """
 
     claim: str
     printed: str
     form: str
     ours: str
-    where: Mapping[str, bool]
+    where: Mapping[str, bool | None]
 
     @property
     def verdict(self) -> str:
         """Holds, does not hold, or on which cases it holds."""
-        good = [name for name, holds in self.where.items() if holds]
-        bad = [name for name, holds in self.where.items() if not holds]
+        good, bad, open_ = (
+            [name for name, holds in self.where.items() if holds is wanted]
+            for wanted in (True, False, None)
+        )
         if not self.where:
             return "not measured"
+        if open_:
+            return self._with_open(good, bad, open_)
         if not bad:
             return "holds" if len(good) == 1 else f"holds on all {len(good)}"
         if not good:
@@ -53,6 +61,37 @@ class Claim:
         if len(bad) <= LISTED:
             return f"{count}, not on {', '.join(bad)}"
         return count
+
+    @staticmethod
+    def _with_open(good: Sequence[str], bad: Sequence[str], open_: Sequence[str]) -> str:
+        """The verdict if the difference is within its error on some cases."""
+        total = len(good) + len(bad) + len(open_)
+        if len(open_) == total:
+            return "within its error" if total == 1 else f"within its error on all {total}"
+        words = [f"holds on {len(good)} of {total}{_listed(good)}"]
+        if bad:
+            words.append(f"does not on {len(bad)}{_listed(bad)}")
+        return ", ".join([*words, f"within its error on {len(open_)}{_listed(open_)}"])
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The names in brackets, or nothing if there are none or too many."""
+    return f" ({', '.join(names)})" if 0 < len(names) <= LISTED else ""
+
+
+def decided(gaps: Sequence[float]) -> bool | None:
+    """True if differences between two runs are positive, False if negative, None if their mean is
+    within its error.
+
+    Parameters
+    ----------
+    gaps : independent differences, one a seed. The error is half the 95 % interval of their mean
+        (Student's t); a single difference has none and decides by its sign.
+    """
+    mean = interval(gaps)
+    if np.isfinite(mean.half) and not mean.clear:
+        return None
+    return bool(mean.mean > 0)
 
 
 def claims_table(claims: Iterable[Claim]) -> str:

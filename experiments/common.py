@@ -391,9 +391,9 @@ def with_interval(value: Interval, digits: int = 3, sign: str = "") -> str:
     )
 
 
-def with_error(values: Sequence[float], digits: int = 3) -> str:
+def with_error(values: Sequence[float], digits: int = 3, sign: str = "") -> str:
     """A cell: mean ± standard error; a single value without an error."""
-    mean = f"{np.mean(values):.{digits}f}"
+    mean = f"{np.mean(values):{sign}.{digits}f}"
     return (
         mean
         if len(values) < 2

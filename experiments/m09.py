@@ -7,6 +7,9 @@ marks on random frames, births from all tracks of the filter itself with the uni
 mixed with the uniform model in a share chosen on the marked frames (`Judge`), which may be 0 with
 few marks. *after*: births from a second pass, whose tracker knows the false alarms. The uniform
 model is run untuned, and with the rates that are best on the first half.
+
+Each seed has its own marked frames and particles, and of a rendered scene its own share of the
+second half.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from experiments.common import (
     pyplot,
     table,
     uniform_density,
+    with_error,
     with_scene,
     write,
 )
@@ -41,14 +45,12 @@ from experiments.m09_runs import (
     SceneScores,
     score,
 )
-from experiments.m09_scenes import FRAMES, Halves, stretch
+from experiments.m09_scenes import HELD_OUT, INDOOR, REAL, RENDERED, Halves, stretch
 from experiments.scenes import (
-    QUARTER,
+    FINDINGS,
     SCORES,
     SceneResults,
     Study,
-    findings,
-    gains,
     number,
     results,
     scores,
@@ -75,6 +77,14 @@ from phdtrack.scene.training import (
 )
 from phdtrack.types import F8, Bool, SequenceInfo, Tracks
 
+# Frames of a rendered scene; numbers of seeds, and of those that are run with other numbers of
+# marks.
+FRAMES = 10_000
+SEEDS = 5
+MARK_SEEDS = 1
+# Frames of a rendered scene on which other numbers of marks, other rates and other filters are
+# compared, and those on which the rates of the uniform model are tuned.
+COMPARED = 500
 # In the paper: numbers of marked false alarms, and of tracks that births are learned from.
 PAPER_MARKS = 1800
 PAPER_TRACKS = 320
@@ -84,7 +94,7 @@ SHARES = (0.01, 0.1, 1.0)
 # Largest number of marked frames on which a share is chosen, and number of frames that the filter
 # runs before each.
 JUDGED = 40
-LEAD = 50
+LEAD = 25
 # The full learned model, regardless of the marked frames.
 WHOLE = "whole"
 # Births a time unit and false alarms a frame of the uniform model.
@@ -172,12 +182,14 @@ def learn(job: tuple[Halves, int]) -> PaperScene:
     false = false_detections(case)
     alarms = {}
     judge = Judge(case, stages, false, seed)
+    usual = judge.followed(stages, shuffled(len(false), seed)[:JUDGED])
     every = sum(int(one.sum()) for one in false)
-    for count in sorted({*(count for count in MARKS if count <= every), min(every, PAPER_MARKS)}):
+    marks = MARKS if seed <= MARK_SEEDS else ()
+    for count in sorted({*(count for count in marks if count <= every), min(every, PAPER_MARKS)}):
         looked, marked = marked_boxes(case, false, count, seed)
         clutter = false_alarms(to_cxcywh(marked), len(looked), case).learned
         alarms[count] = Alarms(
-            clutter, len(marked), len(looked), judge.share(births, clutter, looked[:JUDGED])
+            clutter, len(marked), len(looked), judge.share(births, clutter, looked, usual)
         )
     known = alarms[max(count for count in alarms if count <= PAPER_MARKS)]
     # The second pass knows the false alarms; births are uniform still.
@@ -275,9 +287,9 @@ def _recursive(
 
 def tuned_rates(case: Case, seed: int) -> tuple[float, float]:
     """Births a time unit and false alarms a frame of the `SWEEP` with the highest MOTA on the first
-    half, or on its first `QUARTER` frames.
+    half, or on its first `COMPARED` frames.
     """
-    part = stretch(case, 1, min(case.info.frames, QUARTER))
+    part = stretch(case, 1, min(case.info.frames, COMPARED))
     scored = {}
     for rates in SWEEP:
         run = followed(with_rates(part.info, rates), part, seed)
@@ -373,18 +385,20 @@ class Judge:
     seed: int
 
     def share(
-        self, births: LearnedDensity, clutter: LearnedDensity, looked: Sequence[int]
+        self, births: LearnedDensity, clutter: LearnedDensity, looked: Sequence[int], usual: F8
     ) -> float:
         """The share among `SHARES` with the most tracked objects minus tracked false alarms on the
-        frames ``looked`` at.
+        first frames ``looked`` at, as many as ``usual``, which is `followed` of the uniform model,
+        has.
 
         It is 0 unless this exceeds the uniform model's score by more than its standard error.
         """
-        usual = self.followed(self.stages, looked)
+        judged = looked[: len(usual)]
         best = 0.0
         most = 0.0
         for share in SHARES:
-            gain = self.followed(mixed(self.stages, births, clutter, share), looked) - usual
+            learned = self.followed(mixed(self.stages, births, clutter, share), judged)
+            gain = learned - usual[: len(judged)]
             mean = float(gain.mean())
             error = float(gain.std(ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else np.inf
             if mean > max(most, error):
@@ -396,7 +410,7 @@ class Judge:
         """(n,) number of true detections with a track minus that of false ones, for each marked
         frame.
         """
-        whole = len(looked) * LEAD >= self.case.info.frames
+        whole = self.case.info.frames <= JUDGED * LEAD
         run = followed(stages, self.case, self.seed).corrected if whole else None
         return np.array([self._balance(stages, run, number) for number in looked], np.float64)
 
@@ -458,26 +472,37 @@ def runs_of(
     """All runs, each once."""
     runs = [SceneRun(name, seed, run) for name, seed in learned for run in RUNS]
     for (name, seed), scene in learned.items():
-        few = short_of(scenes[name])
-        counts = [count for count in MARKS if count in scene.alarms]
-        runs += [
-            SceneRun(name, seed, f"{run} {count}", frames=few)
-            for count in counts
-            for run in (GM, WHOLE)
-        ]
-        runs += [SceneRun(name, seed, run, frames=few) for run in (UM, PRINTED, GM, AFTER)]
-        if seed == 1:
-            runs += [SceneRun(name, 1, run, filter_, frames=few) for filter_, run in RIVALS]
+        few = short_of(scenes[name], COMPARED)
+        if seed <= MARK_SEEDS:
             runs += [
-                SceneRun(name, 1, UM, rates=rates, frames=few)
-                for rates in SWEEP[: 1 if quick else None]
+                SceneRun(name, seed, f"{run} {count}", frames=few)
+                for count in MARKS
+                if count in scene.alarms
+                for run in (GM, WHOLE)
             ]
+        runs += [SceneRun(name, seed, run, frames=few) for run in (UM, PRINTED, GM, AFTER)]
+        runs += [SceneRun(name, seed, run, filter_, frames=few) for filter_, run in RIVALS]
+        runs += [
+            SceneRun(name, seed, UM, rates=rates, frames=few)
+            for rates in SWEEP[: 1 if quick else None]
+        ]
     return list(dict.fromkeys(runs))
 
 
 def main(options: Options) -> Path:
     """Run everything and write m09.md and its pictures."""
-    found = results(Study("m09", learn, runs_of, stages_of, work), options)
+    study = Study(
+        "m09",
+        learn,
+        runs_of,
+        stages_of,
+        work,
+        (*RENDERED, *REAL, *HELD_OUT, INDOOR),
+        FRAMES,
+        (SEEDS, SEEDS),
+        COMPARED,
+    )
+    found = results(study, options)
     learned = found.learned
     curves = {name: curve(found, learned, name) for name in found.scenes}
     draw(curves, found, options.folder / "m09-marks.png")
@@ -486,16 +511,19 @@ def main(options: Options) -> Path:
         "m09",
         options,
         m09_claims.claims(found),
-        gains=gains(found, {name: [name] for name in found.scenes}, RUNS),
+        gains=_gains(found),
         scores=scores(found, (UM, TUNED, PRINTED, GM, WHOLE, AFTER)),
         sweep=_sweep(found),
-        findings=findings(found),
+        findings=_findings(found),
         curve=_curves(curves, found),
         delays=_delays(found),
         rivals=_rivals(found),
         lessons=_lessons(learned),
         times=times(found.timings),
         frames=FRAMES,
+        seeds=SEEDS,
+        share=FRAMES // 2 // SEEDS,
+        compared=COMPARED,
         paper_marks=PAPER_MARKS,
         paper_tracks=PAPER_TRACKS,
     )
@@ -512,19 +540,29 @@ def draw_sweeps(found: SceneResults, path: Path) -> None:
         down, across, figsize=(3.6 * across, 2.7 * down), squeeze=False, layout="constrained"
     )
     for axis, name in zip(axes.ravel(), found.scenes, strict=False):
-        swept = found.sweep(name, UM)
+        swept = {rates: found.each(name, UM, "MOTA", rates=rates) for rates in SWEEP}
         for births in sorted({rates[0] for rates in swept}):
-            own = {rates[1]: one.MOTA for rates, one in swept.items() if rates[0] == births}
-            axis.plot(list(own), list(own.values()), "o-", ms=3, label=f"UM, {births:g} births")
+            own = {rates[1]: each for rates, each in swept.items() if rates[0] == births and each}
+            means = [float(np.mean(each)) for each in own.values()]
+            errors = [_standard_error(each) for each in own.values()]
+            label = f"UM, {births:g} births"
+            axis.errorbar(list(own), means, errors, fmt="o-", ms=3, capsize=2, label=label)
         for run, style in ((PRINTED, "--"), (AFTER, "-")):
-            axis.axhline(
-                found.short_run(name, run).scores.MOTA, color="k", lw=1, ls=style, label=run
-            )
+            each = found.each_short(name, run, "MOTA")
+            mean = float(np.mean(each))
+            error = _standard_error(each)
+            axis.axhline(mean, color="k", lw=1, ls=style, label=run)
+            axis.axhspan(mean - error, mean + error, color="k", alpha=0.12, lw=0)
         axis.set(xscale="log", xlabel="false alarms a frame", ylabel="MOTA", title=name)
         axis.grid(alpha=0.3)
     axes[0, 0].legend(fontsize=7)
     figure.savefig(path, dpi=75)
     plt.close(figure)
+
+
+def _standard_error(values: Sequence[float]) -> float:
+    """The standard error of the mean; 0 of a single value, which has none."""
+    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
 
 
 # MOTA minus UM's with the chosen share and with the full learned model, and the mean share, by the
@@ -534,8 +572,8 @@ Curve = Mapping[int, tuple[float, float, float]]
 
 def curve(found: SceneResults, learned: Mapping[tuple[str, int], PaperScene], name: str) -> Curve:
     """The gain for each number of marks, on the frames of the comparison: means over seeds."""
-    few = short_of(found.scenes[name])
-    seeds = [seed for scene, seed in learned if scene == name]
+    few = found.few(name)
+    seeds = [seed for scene, seed in learned if scene == name and seed <= MARK_SEEDS]
     out = {}
     for count in (
         count for count in MARKS if all(count in learned[name, seed].alarms for seed in seeds)
@@ -598,11 +636,7 @@ def _delays(found: SceneResults) -> str:
 def _curves(curves: Mapping[str, Curve], found: SceneResults) -> str:
     rows = []
     for name, values in curves.items():
-        few = short_of(found.scenes[name])
-        seeds = range(1, found.seeds(name) + 1)
-        base = np.mean(
-            [found.runs_[SceneRun(name, seed, UM, frames=few)].scores.MOTA for seed in seeds]
-        )
+        base = np.mean(found.each_short(name, UM, "MOTA")[:MARK_SEEDS])
         cells = [
             "{:+.3f}, {:+.3f} ({:.2g})".format(*values[count]) if count in values else "–"
             for count in MARKS
@@ -614,59 +648,78 @@ def _curves(curves: Mapping[str, Curve], found: SceneResults) -> str:
 def _sweep(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
-        learned = found.short_run(scene, AFTER).scores
-        swept = found.sweep(scene, UM)
-        (births, clutter), best = max(swept.items(), key=lambda item: item[1].MOTA)
-        gap = f"{learned.MOTA - best.MOTA:+.3f}"
-        rows.append(
-            (
-                scene,
-                f"{births:g}",
-                f"{clutter:g}",
-                best.MODA,
-                learned.MODA,
-                best.MOTA,
-                learned.MOTA,
-                gap,
-            )
-        )
+        births, clutter = rates = m09_claims.best_rates(found, scene)
+        cells = []
+        for score_ in ("MODA", "MOTA"):
+            best = found.each(scene, UM, score_, rates=rates)
+            for run in (PRINTED, AFTER):
+                learned = found.each_short(scene, run, score_)
+                gap = [a - b for a, b in zip(learned, best, strict=True)]
+                cells += [with_error(gap, sign="+")]
+            cells.insert(len(cells) - 2, f"{np.mean(best):.3f}")
+        rows.append((scene, f"{births:g}", f"{clutter:g}", *cells))
     header = (
         "scene",
         "births",
         "clutter",
-        "best UM's MODA",
-        "learned",
-        "best UM's MOTA",
-        "learned",
-        "learned less best",
+        *(f"{score_}{words}" for score_ in ("MODA", "MOTA") for words in _BESIDE_BEST),
     )
     return table(header, rows)
+
+
+_BESIDE_BEST = (" of the best UM", ", printed less it", ", after less it")
+
+
+def _gains(found: SceneResults) -> str:
+    """Scores of the runs less those of the uniform model, with standard errors over the seeds."""
+    rows = [
+        (
+            scene,
+            run,
+            *(with_error(found.gaps(scene, run, UM, score_), sign="+") for score_ in SCORES),
+            with_error(found.gaps(scene, run, UM, "false_tracks"), 1, "+"),
+        )
+        for scene in found.scenes
+        for run in RUNS
+        if run != UM
+    ]
+    header = ("scene", "run", *(f"{score_}, less UM" for score_ in SCORES), "false tracks, less UM")
+    return table(header, rows)
+
+
+def _findings(found: SceneResults) -> str:
+    """MOTA of one run minus that of another, with standard errors over the seeds."""
+    pairs = (*FINDINGS, (AFTER, "A2"), (AFTER, GM), ("A6", AFTER))
+    rows = [
+        (scene, *(with_error(found.gaps(scene, a, b, "MOTA"), sign="+") for a, b in pairs))
+        for scene in found.scenes
+    ]
+    return table(("scene", *(f"{a} less {b}" for a, b in pairs)), rows)
+
+
+_TRACKERS = {
+    "": "PROP",
+    "none": "DA",
+    "mht": "MHT",
+    "fv": "PROP, fixed variances",
+    "m09-mht": "MHT, M09's own parameters",
+}
 
 
 def _rivals(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
         for filter_, run in (("", UM), ("", PRINTED), ("", AFTER), *RIVALS):
-            key = SceneRun(scene, 1, run, filter_, frames=short_of(found.scenes[scene]))
-            if key in found.runs_:
-                one = found.runs_[key].scores
-                values = (f"{float(getattr(one, score_)):.3f}" for score_ in SCORES)
-                name = {
-                    "": "PROP",
-                    "none": "DA",
-                    "mht": "MHT",
-                    "fv": "PROP, fixed variances",
-                    "m09-mht": "MHT, M09's own parameters",
-                }[filter_]
-                rows.append(
-                    (
-                        scene,
-                        name,
-                        "–" if filter_ in ("none", "m09-mht") else run,
-                        *values,
-                        one.false_tracks,
-                    )
-                )
+            keys = (*SCORES, "false_tracks")
+            if filter_:
+                values = [found.each(scene, run, key, filter_) for key in keys]
+            else:
+                values = [found.each_short(scene, run, key) for key in keys]
+            if all(values):
+                taught = "–" if filter_ in ("none", "m09-mht") else run
+                digits = (*(3 for _ in SCORES), 1)
+                cells = (with_error(each, some) for each, some in zip(values, digits, strict=True))
+                rows.append((scene, _TRACKERS[filter_], taught, *cells))
     return table(("scene", "tracker", "taught", *SCORES, "false tracks"), rows)
 
 

@@ -172,8 +172,8 @@ def entered(truth: Truth, identity: int, frame: int, entries: F8) -> bool:
 TURN = 50
 
 
-def seconds_per_frame(both: Sequence[AnyStages], case: Case, frames: int) -> tuple[float, float]:
-    """Median seconds per frame with each of two sets of stages, without the detector.
+def seconds_per_frame(both: Sequence[AnyStages], case: Case, frames: int) -> tuple[F8, F8]:
+    """Seconds per frame in each block with each of two sets of stages, without the detector.
 
     Both run block by block in turn on the same frames, so that other load slows both.
     """
@@ -193,5 +193,5 @@ def seconds_per_frame(both: Sequence[AnyStages], case: Case, frames: int) -> tup
             spent[which].append(float(np.mean(seconds)))
     # The first blocks compile and load kernels.
     warm = slice(2, None) if len(spent[0]) > 4 else slice(None)
-    one, other = (float(np.median(each[warm])) for each in spent)
+    one, other = (np.array(each[warm]) for each in spent)
     return one, other

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments.cases import annotated
 from experiments.common import Case, detections_in, mot15, need_data
 from phdtrack.detect import make_detector
 from phdtrack.simulate import NAMED, Rendered, Scene, default_detector, default_look, make_scene
@@ -24,6 +25,8 @@ REAL = (f"{PETS} change", f"{PETS} frcnn", f"{PETS} public")
 # The learning was not tuned on these. The filter's own values were chosen on MOT15, including
 # ADL-Rundle-6.
 HELD_OUT = ("ADL-Rundle-6 frcnn", "KITTI-17 frcnn", "KITTI-17 public")
+# M09's own experiment has one more, without detections of others.
+INDOOR = "OneLeaveShop1cor change"
 FRAMES = 20_000
 SHORT = 600
 # Largest distance of an object's first detection to an entrance at which it counts as entering
@@ -50,6 +53,15 @@ class Halves:
     def frames(self) -> int:
         """The number of frames of both halves."""
         return self.train.info.frames + self.test.info.frames
+
+    def tested_on(self, seed: int, seeds: int) -> Halves:
+        """The scene with the frames of the second half that a seed (from 1) is tested on: its share
+        of a rendered scene, all frames of a real one.
+        """
+        if self.name not in RENDERED or seeds == 1:
+            return self
+        edges = np.linspace(0, self.test.info.frames, seeds + 1).astype(np.int64).tolist()
+        return replace(self, test=stretch(self.test, edges[seed - 1] + 1, edges[seed]))
 
 
 def halves(job: tuple[str, int]) -> Halves:
@@ -88,6 +100,10 @@ def filmed(name: str) -> tuple[Case, F8]:
     """A real sequence with its ``public`` or ``frcnn`` detections, or with those of the change
     detector on the video.
     """
+    if name == INDOOR:
+        info, truth = annotated(name.partition(" ")[0])
+        case = Case(name, info, truth, detections_in(frames_of(name, 0)))
+        return case, border(case.info, case.truth)
     sequence, _, kind = name.rpartition(" ")
     case = replace(mot15(sequence, "frcnn" if kind == "change" else kind), name=name)
     if kind == "change":
@@ -151,4 +167,6 @@ def frames_of(name: str, frames: int) -> Iterable[Frame]:
     if name in RENDERED:
         return Rendered(simulated(name, frames), np.random.default_rng(SEED), default_look(name))
     sequence = name.rpartition(" ")[0]
+    if name == INDOOR:
+        return open_source(Path(need_data(), "caviar", f"{sequence}.mpg"))
     return open_source(Path(need_data(), "mot15", sequence, f"{sequence}.mp4"))

@@ -42,6 +42,8 @@ from experiments.m09_scenes import (
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
 from phdtrack.protocols import AnyStages
+from phdtrack.state import settings_digest
+from phdtrack.types import F8
 
 # Rendered scenes are long: one seed, with intervals over quarters of the frames.
 SEEDS = 3
@@ -60,14 +62,22 @@ L = TypeVar("L")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneResults(Generic[L]):
-    """All runs; ``scenes`` by name, the ``learned`` densities of each for each seed, seconds per
-    frame by scene.
+    """The results of a `Study`.
+
+    Attributes
+    ----------
+    scenes : by name.
+    runs_ : scores by run. learned : the learned scene for each scene and seed.
+    timings : by scene, seconds per frame of the uniform and of the learned model, block by block,
+        and of the detector.
+    compared : number of frames of a rendered scene on which uniform rates are compared.
     """
 
     scenes: Mapping[str, Halves]
     runs_: Mapping[SceneRun, SceneScores]
     learned: Mapping[tuple[str, int], L]
-    timings: Mapping[str, tuple[float, float, float]]
+    timings: Mapping[str, tuple[F8, F8, float]]
+    compared: int
 
     def seeds(self, scene: str) -> int:
         """The number of seeds."""
@@ -79,7 +89,41 @@ class SceneResults(Generic[L]):
 
     def short_run(self, scene: str, run: str) -> SceneScores:
         """The scores on the frames on which uniform rates are compared, for the first seed."""
-        return self.runs_[SceneRun(scene, 1, run, frames=short_of(self.scenes[scene]))]
+        return self.runs_[SceneRun(scene, 1, run, frames=self.few(scene))]
+
+    def few(self, scene: str) -> int:
+        """The number of frames on which uniform rates are compared; 0: all."""
+        return short_of(self.scenes[scene], self.compared)
+
+    def each(
+        self,
+        scene: str,
+        run: str,
+        score: str,
+        filter_: str = "",
+        rates: tuple[float, float] | None = None,
+    ) -> list[float]:
+        """A score for each seed: of a run of the experiment's filter on all frames, of another
+        filter or of other uniform ``rates`` on `few`; empty if there is no such run.
+        """
+        few = self.few(scene) if filter_ or rates else 0
+        keys = [
+            SceneRun(scene, seed, run, filter_, rates, few)
+            for seed in range(1, self.seeds(scene) + 1)
+        ]
+        return [float(getattr(self.runs_[key].scores, score)) for key in keys if key in self.runs_]
+
+    def each_short(self, scene: str, run: str, score: str) -> list[float]:
+        """A score for each seed, of a run of the experiment's filter on `few` frames."""
+        few = self.few(scene)
+        seeds = range(1, self.seeds(scene) + 1)
+        runs = [self.runs_[SceneRun(scene, seed, run, frames=few)] for seed in seeds]
+        return [float(getattr(one.scores, score)) for one in runs]
+
+    def gaps(self, scene: str, one: str, other: str, score: str) -> list[float]:
+        """A score of one run minus that of another, for each seed."""
+        pairs = zip(self.each(scene, one, score), self.each(scene, other, score), strict=True)
+        return [a - b for a, b in pairs]
 
     def pooled(self, scenes: Sequence[str], run: str) -> list[Scores]:
         """The scores over all ``scenes``: for each seed, or for each quarter of the frames if there
@@ -115,7 +159,7 @@ class SceneResults(Generic[L]):
 
     def mean(self, scene: str, run: str, score: str) -> float:
         """A score's mean over the seeds."""
-        return float(np.mean([getattr(one.scores, score) for one in self.runs(scene, run)]))
+        return float(np.mean(self.each(scene, run, score)))
 
     def delay(self, scene: str, run: str, where: str) -> float:
         """Mean delay over all objects and seeds, ``inside`` or ``outside`` where people enter; NaN
@@ -126,7 +170,7 @@ class SceneResults(Generic[L]):
 
     def sweep(self, scene: str, run: str) -> dict[tuple[float, float], Scores]:
         """Scores of the uniform model by its rates, of the first seed."""
-        swept = (one for one in self.runs_ if (one.scene, one.run) == (scene, run))
+        swept = (one for one in self.runs_ if (one.scene, one.seed, one.run) == (scene, 1, run))
         return {one.rates: self.runs_[one].scores for one in swept if one.rates is not None}
 
     def groups(self) -> dict[str, tuple[str, ...]]:
@@ -138,9 +182,11 @@ class SceneResults(Generic[L]):
         return single | {name: some for name, some in both.items() if set(some) <= set(self.scenes)}
 
 
-def short_of(scene: Halves) -> int:
-    """The number of frames of the second half on which uniform rates are compared; 0: all."""
-    return QUARTER if scene.frames > 4 * QUARTER else 0
+def short_of(scene: Halves, frames: int = QUARTER) -> int:
+    """The number of frames of the second half on which uniform rates are compared: ``frames`` of a
+    long scene, 0 for all of a short one.
+    """
+    return frames if scene.frames > 4 * frames else 0
 
 
 def runs_of(
@@ -169,6 +215,10 @@ class Study(Generic[L]):
     runs_of : all runs, from the scenes, the learned scenes and True for the short form.
     stages_of : the stages of a run.
     work : the scores of a run.
+    names, frames : of the scenes, and how many frames a rendered one has.
+    seeds : numbers of seeds of a rendered and of a real scene. The second half of a rendered one is
+        divided among its seeds.
+    compared : number of frames of a rendered scene on which uniform rates are compared.
     """
 
     label: str
@@ -176,24 +226,55 @@ class Study(Generic[L]):
     runs_of: Callable[[Mapping[str, Halves], Mapping[tuple[str, int], L], bool], list[SceneRun]]
     stages_of: Callable[[SceneRun, Halves, L], AnyStages]
     work: Callable[[tuple[SceneRun, Halves, L]], SceneScores]
+    names: tuple[str, ...] = (*RENDERED, *REAL, *HELD_OUT)
+    frames: int = FRAMES
+    seeds: tuple[int, int] = (LONG_SEEDS, SEEDS)
+    compared: int = QUARTER
+
+    def scored(
+        self,
+        runs: Sequence[SceneRun],
+        tested: Mapping[tuple[str, int], Halves],
+        learned: Mapping[tuple[str, int], L],
+        options: Options,
+    ) -> dict[SceneRun, SceneScores]:
+        """The scores of all runs; those with the same stages, frames and seed are run once.
+
+        Parameters
+        ----------
+        runs, tested, learned : the runs; by scene and seed the frames to test on, and what was
+            learned.
+        options : the number of processes.
+        """
+        same = {}
+        for run in runs:
+            key = run.scene, run.seed
+            digest = settings_digest(self.stages_of(run, tested[key], learned[key]))
+            same[run] = (*key, run.frames, digest)
+        first = {key: run for run, key in reversed(same.items())}
+        jobs = [
+            (run, tested[run.scene, run.seed], learned[run.scene, run.seed])
+            for run in first.values()
+        ]
+        found = dict(zip(first, in_parallel(self.work, jobs, self.label, options), strict=True))
+        return {run: found[key] for run, key in same.items()}
 
 
 def results(study: Study[L], options: Options) -> SceneResults[L]:
     """Learn every scene and do all runs."""
-    names = RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
-    label = study.label
     quick = options.quick
-    scene_jobs = [(name, SHORT if quick else FRAMES) for name in names]
+    names = study.names[:1] if quick else study.names
+    label = study.label
+    scene_jobs = [(name, SHORT if quick else study.frames) for name in names]
     found = in_parallel(halves, scene_jobs, f"{label}, rendering and detecting", options)
     scenes = dict(zip(names, found, strict=True))
-    seeds = {name: options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) for name in names}
+    seeds = {name: options.number(study.seeds[name not in RENDERED], 1) for name in names}
     lessons = [(name, seed) for name in names for seed in range(1, seeds[name] + 1)]
     lesson_jobs = [(scenes[name], seed) for name, seed in lessons]
     found_lessons = in_parallel(study.learn, lesson_jobs, f"{label}, learning", options)
     learned = dict(zip(lessons, found_lessons, strict=True))
-    runs = study.runs_of(scenes, learned, quick)
-    jobs = [(run, scenes[run.scene], learned[run.scene, run.seed]) for run in runs]
-    scored = dict(zip(runs, in_parallel(study.work, jobs, label, options), strict=True))
+    tested = {(name, seed): scenes[name].tested_on(seed, seeds[name]) for name, seed in lessons}
+    scored = study.scored(study.runs_of(scenes, learned, quick), tested, learned, options)
     # One at a time, without other runs of this command.
     timings = {}
     for name in (name for name in (RENDERED[0], REAL[0]) if name in names):
@@ -205,7 +286,7 @@ def results(study: Study[L], options: Options) -> SceneResults[L]:
             *seconds_per_frame(both, scenes[name].test, 400 if quick else 1000),
             detector_seconds(scenes[name]),
         )
-    return SceneResults(scenes, scored, learned, timings)
+    return SceneResults(scenes, scored, learned, timings, study.compared)
 
 
 def main(options: Options) -> Path:
@@ -354,10 +435,11 @@ def _sweep(found: SceneResults) -> str:
     return table(header, rows)
 
 
-def times(timings: Mapping[str, tuple[float, float, float]]) -> str:
-    """A table of seconds a frame: uniform, learned, and the detector."""
+def times(timings: Mapping[str, tuple[F8, F8, float]]) -> str:
+    """A table of seconds a frame: uniform, learned, and the detector; medians over blocks."""
     rows = []
-    for scene, (uniform, learned, detector) in timings.items():
+    for scene, (*both, detector) in timings.items():
+        uniform, learned = (float(np.median(each)) for each in both)
         cells = (f"{1e3 * each:.2f}" for each in (uniform, learned, detector))
         whole = (detector + learned) / (detector + uniform)
         rows.append((scene, *cells, f"{learned / uniform:.2f}", f"{whole:.3f}"))

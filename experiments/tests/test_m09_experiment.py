@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments import m09, m09_lessons, m09_runs, m09_scenes, scenes
-from experiments.common import Case, uniform_density
+from experiments.common import Case, Options, uniform_density
 from experiments.m09_runs import GM, UM, SceneRun
 from phdtrack import config
 from phdtrack.arrays import iou, to_cxcywh
@@ -292,7 +292,8 @@ def test_marks_that_forbid_people_are_not_used(street) -> None:
     )
     flooded = replace(scene.alarms[25].clutter, rate=1e5)
     assert judge.followed(m09.mixed(judge.stages, scene.births, flooded, 1.0), looked).sum() <= 0
-    assert judge.share(scene.births, flooded, looked) < 1
+    usual = judge.followed(judge.stages, looked)
+    assert judge.share(scene.births, flooded, looked, usual) < 1
 
 
 def _rate(part: Birth | Clutter) -> float:
@@ -378,3 +379,37 @@ def test_delays_are_parted_by_where_somebody_is_first_detected() -> None:
     )
     assert m09_runs.delays(case, tracks, np.array([[-np.inf, 0, 20, 360]])) == ({1: 3.0}, {2: 1.0})
     assert m09_runs.delays(case, tracks, np.zeros((0, 4))) == ({}, {1: 3.0, 2: 1.0})
+
+
+def test_each_seed_has_its_own_share_of_the_second_half(garden) -> None:
+    """Of a rendered scene; together they are all of it, and a real scene is tested whole."""
+    parts = [garden.tested_on(seed, 3).test for seed in (1, 2, 3)]
+    assert [part.info.frames for part in parts] == [116, 117, 117]
+    assert sum(len(part.truth.frame) for part in parts) == len(garden.test.truth.frame)
+    assert sum(len(part.table.frame) for part in parts) == len(garden.test.table.frame)
+    assert garden.tested_on(1, 1) is garden
+    real = replace(garden, name="KITTI-17 public")
+    assert real.tested_on(2, 3) is real
+
+
+def test_a_run_with_the_same_stages_is_run_once(street, monkeypatch) -> None:
+    """With a share of 1 the full model is that of GM; the scores are those of both."""
+    train = m09_scenes.stretch(street[0], 1, 40)
+    halved = m09_scenes.Halves("street", train, m09_scenes.stretch(street[0], 41, 80), np.eye(4))
+    learned = {("street", 1): paper_scene(train, 1.0)}
+    done = []
+
+    def work(job: tuple[SceneRun, m09_scenes.Halves, m09.PaperScene]) -> m09_runs.SceneScores:
+        done.append(job[0].run)
+        return m09.work(job)
+
+    study = scenes.Study("m09", m09.learn, m09.runs_of, m09.stages_of, work)
+    runs = [SceneRun("street", 1, run) for run in (UM, GM, m09.WHOLE)]
+    runs.append(SceneRun("street", 1, GM, frames=20))
+    found = study.scored(runs, {("street", 1): halved}, learned, Options(quick=True))
+    assert sorted(done) == [GM, GM, UM]
+    assert list(found) == runs
+    assert found[runs[1]] is found[runs[2]]
+    assert found[runs[1]] is not found[runs[3]]
+    alone = m09.work((runs[2], halved, learned["street", 1]))
+    assert alone.scores.MOTA == found[runs[2]].scores.MOTA
