@@ -280,6 +280,16 @@ def distances(found: CorridorErrors) -> str:
     return table(("N", *CHAINS), rows)
 
 
+def error_words(seeds: int) -> dict[str, str]:
+    """Sentences on the errors of values and of the bars in the picture, which one seed has not."""
+    if seeds == 1:
+        return {"errors": "single values, without an interval", "bars": "One run of each setting."}
+    return {
+        "errors": "means ± half their 95 % interval (Student's t)",
+        "bars": "Medians over seeds; bars contain 95 % of the runs.",
+    }
+
+
 def figures(found: CorridorErrors) -> dict[str, object]:
     """The values of the page's placeholders."""
     people = scene("caviar")
@@ -300,6 +310,7 @@ def figures(found: CorridorErrors) -> dict[str, object]:
         "times": times(found),
         "seeds": counted(found.seeds, "seed"),
         "model_seeds": counted(seeds_of("model", found.seeds), "seed"),
+        **error_words(found.seeds),
         "high": found.numbers[-1],
         "paper_frames": INFOS["corridor"].frames,
         "gate": f"{GATE:g}",

@@ -200,3 +200,11 @@ def test_claims_of_d14_for_made_up_errors():
     first = claims[0]
     assert first.printed == "in 43 of 48 cells"
     assert first.ours == "in 48 of 48 cells"
+
+
+def test_intervals_are_promised_only_if_there_are_seeds_for_them() -> None:
+    values = np.array([1.0, 1.2])
+    for seeds in (1, 2):
+        words = d14.error_words(seeds)
+        assert ("±" in words["errors"]) == ("±" in d14.spread(values[:seeds]))
+        assert ("95 %" in words["bars"]) == (seeds > 1)
