@@ -7,13 +7,11 @@ A section of m07.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from experiments import m07_qcif
 from experiments.cases import CASES, Named, cluttered, drawn, short
 from experiments.claims import OURS, WORDS, Claim, claims_table
 from experiments.common import (
@@ -23,168 +21,112 @@ from experiments.common import (
     filled,
     followed,
     in_parallel,
-    measure,
     pyplot,
     table,
 )
-from experiments.m07_qcif import FORMS, FOUR, MT, Method
+from experiments.m07_table import (
+    FEW,
+    FORMS,
+    FOUR,
+    METHODS,
+    MT,
+    RATES,
+    SEEDS,
+    Method,
+    TableResults,
+    TableRun,
+    ahead,
+    jobs_of,
+    scored,
+)
 from phdtrack.metrics import pool
 from phdtrack.report.pages import counted
 
 PAIR = (MT, WORDS)
 # What we would use is another filter on boxes of an object detector than on moving regions.
-METHODS = {**m07_qcif.METHODS, OURS: Method("pmb", "", random=False)}
-RATES = (0, 5, 20)
-SEEDS = 2
-FEW = 1
+HERE = {**METHODS, OURS: Method("pmb", "", random=False)}
 PICTURE = ("PETS09-S2L1", "public")
 PICTURED = 200
 
 
-@dataclass(frozen=True, slots=True)
-class PrintedRun:
-    """One run; ``seed`` is that of clutter and particles."""
-
-    case: Named
-    rate: int
-    method: str
-    seed: int
-
-
-Found = dict[PrintedRun, ScoredCase]
-
-
-def work(job: PrintedRun) -> ScoredCase:
+def work(job: tuple[TableRun, Named]) -> ScoredCase:
     """One run, scored."""
-    how = METHODS[job.method]
-    case = cluttered(drawn(job.case, job.seed), job.rate, job.seed)
-    return measure(case, how.filter, job.seed, how.sets, how.preset)
+    run, case = job
+    return scored(run, drawn(case, run.seed), HERE[run.method])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PrintedResults:
-    """All runs of the ``cases`` with these ``rates`` of added clutter, for so many ``seeds``."""
-
-    found: Found
-    cases: tuple[Named, ...]
-    rates: tuple[int, ...]
-    seeds: int
-
-
-def run_all(options: Options) -> PrintedResults:
+def run_all(options: Options) -> TableResults:
     """Do all runs."""
-    cases = short(CASES)[:1] if options.quick else CASES
+    named = {" ".join(case): case for case in (short(CASES)[:1] if options.quick else CASES)}
     rates = RATES[:: len(RATES) - 1] if options.quick else RATES
-    seeds = options.number(SEEDS, FEW)
-    jobs = [
-        PrintedRun(c, rate, method, k)
-        for c in cases
-        for rate in rates
-        for method, how in METHODS.items()
-        for k in range(1, (seeds if how.random or rate else 1) + 1)
-    ]
-    scored = in_parallel(work, jobs, "m07, other detectors", options)
-    return PrintedResults(dict(zip(jobs, scored, strict=True)), cases, rates, seeds)
+    jobs = jobs_of(dict.fromkeys(named, rates), options.number(SEEDS, FEW))
+    done = in_parallel(
+        work, [(job, named[job.case]) for job in jobs], "m07, other detectors", options
+    )
+    return TableResults(dict(zip(jobs, done, strict=True)), tuple(named), rates)
 
 
-def section(results: PrintedResults, judged: Sequence[Claim], options: Options) -> str:
+def section(found: TableResults, judged: Sequence[Claim], options: Options) -> str:
     """Draw; return the section of the page."""
-    found = results.found
-    cases = results.cases
-    rates = results.rates
-    curve(found, rates, options.folder / "m07-clutter.png")
-    paths(cases[0] if options.quick else PICTURE, options.folder / "m07-tracks.png")
+    pictured = short(CASES)[0] if options.quick else PICTURE
+    curve(found, options.folder / "m07-clutter.png")
+    paths(pictured, options.folder / "m07-tracks.png")
     return filled(
         "m07_printed",
         claims=claims_table(judged),
-        seeds=counted(results.seeds, "seed"),
+        seeds=counted(options.number(SEEDS, FEW), "seed"),
         pairs=table(
             ("clutter added", "case", *FOUR),
-            [_row(found, case, rate) for rate in rates for case in cases],
+            [
+                (rate, case, *found.cells(case, rate, 3))
+                for rate in found.rates
+                for case in found.cases
+            ],
         ),
         ahead=table(
             ("clutter added", "of", *(f"{form}: {of}" for form in FORMS for of in _AHEAD)),
-            [(rate, len(cases), *_ahead(found, cases, rate)) for rate in rates],
+            [(rate, len(found.cases), *_ahead(found, rate)) for rate in found.rates],
         ),
-        curve_rates=", ".join(map(str, rates)),
-        heavy=rates[-1],
-        pictured=(cases[0] if options.quick else PICTURE)[0],
+        curve_rates=", ".join(map(str, found.rates)),
+        heavy=found.rates[-1],
+        pictured=pictured[0],
     )
 
 
-def claims(results: PrintedResults) -> list[Claim]:
+def claims(found: TableResults) -> list[Claim]:
     """The claim of Table 1 on these detections, in each form, without and with added clutter."""
-    out = []
-    for rate in (results.rates[0], results.rates[-1]):
-        for form in FORMS:
-            gaps = {
-                " ".join(case): _gaps(results.found, case, rate, form) for case in results.cases
-            }
-            won = sum(gap > 0 for each in gaps.values() for gap in each)
-            middle = np.median([each[-1] for each in gaps.values()])
-            out.append(
-                Claim(
-                    f"PHD-MT above MT in {', '.join(FOUR)} (other detectors, {rate} false alarms"
-                    " a frame added)",
-                    "16 of 16",
-                    form,
-                    f"{won} of {4 * len(gaps)} pairs, MOTA {middle:+.2f} in the median",
-                    {name: all(gap > 0 for gap in each) for name, each in gaps.items()},
-                )
-            )
-    return out
-
-
-def mean(found: Found, case: Named, rate: int, method: str, score: str) -> float:
-    """A score's mean over the seeds."""
-    return float(
-        np.mean(
-            [
-                getattr(s.scores, score)
-                for j, s in found.items()
-                if (j.case, j.rate, j.method) == (case, rate, method)
-            ]
-        )
-    )
-
-
-def _row(found: Found, case: Named, rate: int) -> tuple[object, ...]:
-    cells = (
-        " / ".join(f"{mean(found, case, rate, method, score):.3f}" for method in METHODS)
-        for score in FOUR
-    )
-    return (rate, " ".join(case), *cells)
-
-
-def _gaps(found: Found, case: Named, rate: int, method: str) -> list[float]:
     return [
-        mean(found, case, rate, method, score) - mean(found, case, rate, MT, score)
-        for score in FOUR
+        ahead(found, form, rate, f"other detectors, {rate} false alarms a frame added")
+        for rate in (found.rates[0], found.rates[-1])
+        for form in FORMS
     ]
 
 
 _AHEAD = ("ahead in MODA and MOTA", "in all four")
 
 
-def _ahead(found: Found, cases: Sequence[Named], rate: int) -> list[int]:
+def _ahead(found: TableResults, rate: int) -> list[int]:
     """The number of cases in which each form is ahead of MT in MODA and MOTA, and in all four."""
-    out = []
-    for form in FORMS:
-        gaps = [dict(zip(FOUR, _gaps(found, case, rate, form), strict=True)) for case in cases]
-        out.append(sum(min(gap["MODA"], gap["MOTA"]) > 0 for gap in gaps))
-        out.append(sum(min(gap.values()) > 0 for gap in gaps))
-    return out
+    return [
+        sum(all(found.gap(case, rate, form, score) > 0 for score in scores) for case in found.cases)
+        for form in FORMS
+        for scores in (("MODA", "MOTA"), FOUR)
+    ]
 
 
-def curve(found: Found, rates: Sequence[int], path: Path) -> None:
+def curve(found: TableResults, path: Path) -> None:
     """Draw MODA and MOTA pooled over the cases against the added clutter."""
     plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
     for axis, score in zip(axes, ("MODA", "MOTA"), strict=True):
         for method in METHODS:
             runs = {
-                rate: [s.scores for j, s in found.items() if j.rate == rate and j.method == method]
-                for rate in rates
+                rate: [
+                    one.scores
+                    for run, one in found.scored.items()
+                    if (run.rate, run.method) == (rate, method)
+                ]
+                for rate in found.rates
             }
             axis.plot(
                 list(runs),
@@ -221,7 +163,7 @@ def paths(name: Named, path: Path) -> None:
         color="0.4",
     )
     for axis, method in zip(axes[2:], PAIR, strict=True):
-        how = METHODS[method]
+        how = HERE[method]
         stages = built(case.info, how.filter, how.sets, how.preset)
         tracks = followed(stages, case, 1).corrected
         _strokes(axis, tracks.frame, tracks.identity, tracks.xyxy)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import cases, m07, m07_qcif
+from experiments import cases, m07, m07_qcif, m07_table
 from experiments.claims import MENDED, OURS, WORDS
 from experiments.common import ScoredCase, built, filled
 from phdtrack.filters import PMB, KMeans, NoFilter, PrintedKMeans
@@ -139,7 +139,7 @@ def test_the_methods_differ_in_the_extraction_and_nothing_else() -> None:
     info = SequenceInfo(*m07_qcif.QCIF, 25.0, FRAMES)
     stages = {
         name: built(info, how.filter, how.sets, how.preset)
-        for name, how in m07_qcif.METHODS.items()
+        for name, how in m07_table.METHODS.items()
     }
     words, mended = stages[WORDS], stages[MENDED]
     assert words.extractor == PrintedKMeans(min_weight=0.6, split_weight=1.0)
@@ -147,27 +147,26 @@ def test_the_methods_differ_in_the_extraction_and_nothing_else() -> None:
     for name in ("filter", "model", "associator"):
         assert getattr(words, name) == getattr(mended, name)
     assert isinstance(stages[OURS].filter, PMB)
-    assert isinstance(stages[m07_qcif.MT].filter, NoFilter)
+    assert isinstance(stages[m07_table.MT].filter, NoFilter)
 
 
 def test_claims_of_table_1_are_judged_video_by_video() -> None:
     """In the street the filter removes four false boxes, in the shop it misses more."""
     errors = {
-        ("TUD-Campus", m07_qcif.MT): (0, 4, 0),
+        ("TUD-Campus", m07_table.MT): (0, 4, 0),
         ("TUD-Campus", WORDS): (0, 0, 0),
-        ("shop", m07_qcif.MT): (1, 10, 0),
+        ("shop", m07_table.MT): (1, 10, 0),
         ("shop", WORDS): (7, 0, 0),
     }
     scored = {
-        m07_qcif.SmallRun(video, 0, method, 1): result(
+        m07_table.TableRun(video, 0, method, 1): result(
             *errors.get((video, method), errors[video, WORDS])
         )
         for video in ("TUD-Campus", "shop")
-        for method in m07_qcif.METHODS
+        for method in m07_table.METHODS
     }
-    found = m07_qcif.SmallResults(
-        scored, ("TUD-Campus", "shop"), (0,), {"TUD-Campus": 1e-3, "shop": 1e-3}
-    )
+    runs = m07_table.TableResults(scored, ("TUD-Campus", "shop"), (0,))
+    found = m07_qcif.SmallResults(runs, {"TUD-Campus": 1e-3, "shop": 1e-3})
     claims = [one for one in m07_qcif.claims(found) if one.form == WORDS]
     four, mota, _, low, time = claims
     assert four.where == {"TUD-Campus": False, "shop": False}, "the overlaps of the boxes are equal"
