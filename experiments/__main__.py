@@ -56,6 +56,9 @@ EXPERIMENTS = {
     "scenes": Experiment(
         "learned scenes with the default filter: births and false alarms, part by part"
     ),
+    "day_night": Experiment(
+        "false alarms from other places by night: scenes learned once, twice, or again and again"
+    ),
     "peers": Experiment(
         "comparison with widely used trackers; contributions of the parts of the default filter"
     ),
