@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import m09, m09_lessons, m09_runs, m09_scenes, scenes
+from experiments import m09, m09_claims, m09_lessons, m09_runs, m09_scenes, scenes
 from experiments.common import Case, Options, uniform_density
 from experiments.m09_runs import GM, UM, SceneRun
 from phdtrack import config
@@ -413,3 +413,23 @@ def test_a_run_with_the_same_stages_is_run_once(street, monkeypatch) -> None:
     assert found[runs[1]] is not found[runs[3]]
     alone = m09.work((runs[2], halved, learned["street", 1]))
     assert alone.scores.MOTA == found[runs[2]].scores.MOTA
+
+
+def test_a_claim_is_judged_by_differences_and_their_error() -> None:
+    """In the yard all five seeds are above, in the garden they are on both sides, in the arcade all
+    are below.
+    """
+    gaps = {
+        "yard": [0.5, 0.5, 0.6, 0.4, 0.5],
+        "garden": [1.0, -1.0, 0.9, -0.9, 0.3],
+        "arcade": [-0.2, -0.2, -0.3, -0.1, -0.2],
+        "never run": [],
+    }
+    claim = m09_claims.judged("GM above UM", "+9 %", "word by word", "MOTA", gaps)
+    assert claim.where == {"yard": True, "garden": None, "arcade": False}
+    assert claim.ours.startswith("MOTA +0.120 ± ")
+    assert claim.ours.endswith("; by scene -0.200 to +0.500")
+    assert claim.verdict == (
+        "holds on 1 of 3 (yard), does not on 1 (arcade), within its error on 1 (garden)"
+    )
+    assert m09_claims.judged("GM above UM", "+9 %", "", "MOTA", {"yard": []}).where == {}
