@@ -57,7 +57,8 @@ EXPERIMENTS = {
         "learned scenes with the default filter: births and false alarms, part by part"
     ),
     "day_night": Experiment(
-        "false alarms from other places by night: scenes learned once, twice, or again and again"
+        "false alarms from other places by night: scenes learned once, twice, or again and again",
+        data=False,
     ),
     "peers": Experiment(
         "comparison with widely used trackers; contributions of the parts of the default filter"
