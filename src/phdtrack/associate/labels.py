@@ -46,15 +46,9 @@ from phdtrack.associate.reidentification import Names, Returns, reidentified
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
 from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.coasting import STEPS, Followed
-from phdtrack.kernels.label_table import (
-    coasting_rows,
-    counted,
-    detected_rows,
-    followed_after,
-    kept_labels,
-    shown_rows,
-)
-from phdtrack.models.predicted_boxes import shown
+from phdtrack.kernels.label_table import counted_frame, detected_rows, due_rows
+from phdtrack.models.box import BoxSensor
+from phdtrack.models.predicted_boxes import SHOWN, on_target
 from phdtrack.models.warp import warp_states
 from phdtrack.protocols import Model
 from phdtrack.types import (
@@ -80,6 +74,7 @@ PATIENCE = 0.8
 PATIENT_FRAMES = 20.0
 _NONE = np.zeros(0)
 _NO_BOX = np.zeros((0, 4))
+_NO_LABELS: I8 = np.zeros(0, np.int64)
 NO_TRACKS = Followed(np.zeros(0, np.int64), _NONE, _NONE, _NO_BOX, _NO_BOX, np.zeros((2, STEPS)))
 
 
@@ -105,25 +100,9 @@ class LabelTable(NamedTuple):
         none = np.zeros(len(label), np.int64)
         return cls(label, none, none, np.full(len(label), -np.inf), none > 0)
 
-    def after(
-        self, settled: Sequence[Moment], open_moments: Sequence[Moment]
-    ) -> tuple[LabelTable, LabelTable]:
-        """The table with the states of the ``settled`` moments counted, and the same with those of
-        the others counted, too. Every label of the moments gets a row.
-        """
-        moments = [*settled, *open_moments]
-        states = [moment.estimates for moment in moments]
-        start = [0, *itertools.accumulate(len(each.tag) for each in states)]
-        after, count, last = counted(
-            tuple(self),
-            np.concatenate([each.tag for each in states]),
-            np.concatenate([each.detection for each in states]),
-            np.array(start),
-            np.array([moment.time for moment in moments]),
-            len(settled),
-        )
-        table = LabelTable(*after)
-        return table, LabelTable(table.label, table.identity, count, last, table.confirmed)
+    def with_counts(self, states: I8, last: F8) -> LabelTable:
+        """The same labels with other states and last detections (a,)."""
+        return LabelTable(self.label, self.identity, states, last, self.confirmed)
 
     def renamed(self, change: dict[int, int]) -> LabelTable:
         """The table with these identities, by label, of those of the labels that have a row."""
@@ -252,31 +231,72 @@ class Labelled(Checked):
             ),
         )
         recent = [*observed, *timed]
-        if not now.observed:
+        settled = 0
+        if now.observed:
+            settled = _revise(recent, estimates.past)
+        else:
             known = np.isin(now.estimates.tag, state.table.label)
             now = replace(now, estimates=now.estimates.select(known))
-            ahead = replace(state, recent=(*recent, now))
-            return self._emitted(ahead, state.table.after((), ahead.recent)[1], model)
-        settled = _revise(recent, estimates.past)
+        recent.append(now)
+        interval = dt if now.observed and self.coast_by_evidence else 0.0
+        table, present, followed = self._counted(state, recent, settled, interval, model)
         history = state.history
         for moment in recent[:settled]:
             history = history.append(moment)
-        table, present = state.table.after(recent[:settled], [*recent[settled:], now])
-        recent = recent[settled:]
-        if self.coast_by_evidence:
-            followed = self._followed(state.followed, now, present, dt, model)
-        else:
-            followed = state.followed
         returns = state.returns
-        if model.appearance is not None:
+        if now.observed and model.appearance is not None:
             returns, change = self._returned(returns, estimates, now, present, model.appearance)
             if change:
                 table = table.renamed(change)
                 present = present.renamed(change)
+        time = now.time if now.observed else state.time
         extended = LabelledState(
-            history, (*recent, now), table, now.time, state.used, followed, returns
+            history, tuple(recent[settled:]), table, time, state.used, followed, returns
         )
-        return self._emitted(extended, present, model)
+        due = len(extended) - 1 - self.output_delay
+        if due < 0:
+            return extended, Tracks.empty()
+        return self._emit(extended, due, present, model)
+
+    def _counted(
+        self,
+        state: LabelledState,
+        moments: Sequence[Moment],
+        settled: int,
+        dt: float,
+        model: Model,
+    ) -> tuple[LabelTable, LabelTable, Followed]:
+        """The table with the states of the first ``settled`` moments counted, and with those of
+        all; and the tracks that may be missing after the newest one, with its verdicts. After an
+        interval of 0 these are as they were.
+
+        Every label of the moments gets a row.
+        """
+        now = moments[-1]
+        before = state.followed
+        interval = dt / model.rate
+        if dt and len(model.warp) and len(before.label):
+            x, y, w, h = to_cxcywh(before.xyxy)
+            x, y, _, _, w, h = warp_states(np.stack([x, y, 0 * x, 0 * y, w, h]), model.warp)
+            before = before._replace(xyxy=to_xyxy(np.stack([x, y, w, h])))
+        after, states, last, followed = counted_frame(
+            tuple(state.table),
+            _flat(moments),
+            settled,
+            tuple(before),
+            now.estimates.xyxy,
+            self.min_track_length,
+            (
+                model.rate,
+                now.time / model.rate,
+                interval,
+                max(PATIENCE, PATIENT_FRAMES * interval),
+                1 - 1 / REMEMBERED,
+            ),
+            dt > 0,
+        )
+        table = LabelTable(*after)
+        return table, table.with_counts(states, last), Followed(*followed)
 
     def _returned(
         self,
@@ -294,21 +314,12 @@ class Labelled(Checked):
         )
         return reidentified(returns, estimates, rows, now.number, looks, sure, names)
 
-    def _emitted(
-        self, state: LabelledState, present: LabelTable, model: Model
-    ) -> tuple[LabelledState, Tracks]:
-        """The state after the online rows that are now due, and these."""
-        due = len(state) - 1 - self.output_delay
-        if due < 0:
-            return state, Tracks.empty()
-        state, tracks = self._emit(state, due, present, model)
-        return self._recent(state, due, model), tracks
-
     def flush(self, state: LabelledState, model: Model) -> Tracks:
         """The online rows of the last ``output_delay`` frames."""
         parts = []
         for due in range(max(0, len(state) - self.output_delay), len(state)):
-            state, tracks = self._emit(state, due, state.table.after((), state.recent)[1], model)
+            _, present, _ = self._counted(state, state.recent, 0, 0.0, model)
+            state, tracks = self._emit(state, due, present, model)
             parts.append(tracks)
         return Tracks.concatenate(parts)
 
@@ -358,86 +369,70 @@ class Labelled(Checked):
     def _emit(
         self, state: LabelledState, due: int, present: LabelTable, model: Model
     ) -> tuple[LabelledState, Tracks]:
-        """The state with the identities of the frame at place ``due``, and its rows as it is seen
-        now.
+        """The state with the identities of the frame at place ``due`` and without what is
+        forgotten, and the frame's rows as it is seen now.
         """
         moment = state[due]
         e = moment.estimates
-        here = state.seen_until(due)
-        known = tuple(present)
-        if self.bridge_gaps:
-            coasts, unseen = coasting_rows(
-                known,
-                e.tag,
-                e.detection,
-                state.followed.verdicts,
-                (
-                    here,
-                    state.seen_until(len(state) - 1),
-                    self.max_coast * model.rate + 1e-9,
-                    model.rate,
-                ),
-                (PRIOR, SHARE),
-                self.min_track_length,
-                (self.coast_by_evidence, moment.observed),
-            )
-            if moment.observed and len(unseen):
-                coasts[unseen] = shown(
-                    model, e.state[:, unseen], e.covariance[unseen], e.weight[unseen]
-                )
-        else:
-            coasts = np.zeros(len(e), np.bool_)
-        identity, confirmed, used, columns = shown_rows(
-            known,
-            (e.tag, e.detection, e.xyxy, e.weight),
-            moment.row,
-            coasts,
-            self.min_track_length,
-            moment.number,
-            state.used,
-        )
-        table = state.table._replace(identity=identity, confirmed=confirmed)
-        after = LabelledState(
-            state.history, state.recent, table, state.time, used, state.followed, state.returns
-        )
-        return after, Tracks(*columns)
-
-    def _followed(
-        self, before: Followed, now: Moment, present: LabelTable, dt: float, model: Model
-    ) -> Followed:
-        """The tracks that may be missing after the newest frame, and the verdicts with its own."""
-        interval = dt / model.rate
-        patience = max(PATIENCE, PATIENT_FRAMES * interval)
-        if len(model.warp) and len(before.label):
-            x, y, w, h = to_cxcywh(before.xyxy)
-            x, y, _, _, w, h = warp_states(np.stack([x, y, 0 * x, 0 * y, w, h]), model.warp)
-            before = before._replace(xyxy=to_xyxy(np.stack([x, y, w, h])))
-        times = (model.rate, now.time / model.rate, interval, patience, 1 - 1 / REMEMBERED)
-        estimates = now.estimates
-        after: Followed = followed_after(
-            tuple(before),
+        history, since, older = self._remembered(state, due, moment.time, model)
+        chance = _NONE
+        if type(model.sensor) is not BoxSensor and np.count_nonzero(e.detection < 0):
+            chance = on_target(model, e.state, e.covariance)
+        identity, confirmed, used, columns, kept = due_rows(
             tuple(present),
-            estimates.tag,
-            estimates.xyxy,
-            self.min_track_length,
-            times,
+            (e.tag, e.detection, e.xyxy, e.weight),
+            (e.state, e.covariance, chance),
+            moment.row,
+            state.followed.verdicts,
+            (
+                state.seen_until(due),
+                state.seen_until(len(state) - 1),
+                self.max_coast * model.rate + 1e-9,
+                model.rate,
+            ),
+            (PRIOR, SHARE, SHOWN),
+            (self.min_track_length, moment.number, state.used),
+            (self.bridge_gaps, self.coast_by_evidence, moment.observed),
+            (state.table.last, since, older),
         )
-        return after
+        label, _, states, last, _ = state.table
+        table = LabelTable(label, identity, states, last, confirmed)
+        if np.count_nonzero(kept) < len(kept):
+            table = table.select(kept)
+        after = LabelledState(
+            history, state.recent, table, state.time, used, state.followed, state.returns
+        )
+        return after, Tracks(*columns, class_id=np.zeros(len(columns[0]), np.int64))
 
-    def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
-        """The state without the frames that are forgotten; rows still due stay."""
+    def _remembered(
+        self, state: LabelledState, due: int, time: float, model: Model
+    ) -> tuple[History, float, I8]:
+        """The settled frames without those that are forgotten, the time since when labels are
+        remembered, and the labels that are in any case.
+
+        Rows that are still due, from place ``due`` on with ``time``, stay. A label of a frame that
+        may still be revised has a row.
+        """
         if self.history == 0:
-            return state
-        since = min(state.time - self.history * model.rate, state[due].time)
-        # A label of a frame that may still be revised has a row.
-        first = min(due, len(state.history))
-        moments = [*(state[k] for k in range(first, len(state.history))), *state.recent]
-        here = np.concatenate([moment.estimates.tag for moment in moments])
-        kept = kept_labels(state.table.label, state.table.last, since, here)
-        history = state.history.since(since)
-        if history is state.history and kept.all():
-            return state
-        return replace(state, history=history, table=state.table.select(kept))
+            return state.history, -np.inf, _NO_LABELS
+        since = min(state.time - self.history * model.rate, time)
+        settled = len(state.history)
+        moments = [*(state[k] for k in range(due, settled)), *state.recent]
+        older = np.concatenate([moment.estimates.tag for moment in moments])
+        return state.history.since(since), since, older
+
+
+def _flat(moments: Sequence[Moment]) -> tuple[I8, I8, I8, F8]:
+    """The labels and measurements (n,) of the states of all moments, one moment after the other,
+    and where each begins and its time.
+    """
+    states = [moment.estimates for moment in moments]
+    return (
+        np.concatenate([each.tag for each in states]),
+        np.concatenate([each.detection for each in states]),
+        np.array([0, *itertools.accumulate([len(each.tag) for each in states])]),
+        np.array([moment.time for moment in moments]),
+    )
 
 
 def _revise(recent: list[Moment], past: tuple[Estimates | None, ...]) -> int:
@@ -466,7 +461,8 @@ def _one_each(e: Estimates) -> Estimates:
     single = e
     if e.past or len(e.followed):
         single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag)
-    if (e.tag[1:] > e.tag[:-1]).all():
+    # Counted, as `all` takes several times as long.
+    if np.count_nonzero(e.tag[1:] > e.tag[:-1]) + 1 >= len(e.tag):
         return single
     heaviest = np.argsort(-e.weight, kind="stable")
     _, first = np.unique(e.tag[heaviest], return_index=True)

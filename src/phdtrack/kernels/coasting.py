@@ -181,18 +181,42 @@ def overlap_probability(across: F8, along: F8) -> F8:
     if (1 − |u|)(1 − |v|) ≥ 2/3.
     """
     out = np.empty(len(across))
-    root = math.sqrt(0.5)
     for k in range(len(across)):
-        a = max(across[k], TINY)
-        b = max(along[k], TINY)
-        # Simpson's rule in units of the deviation: beyond six there is nothing.
-        most = min(6.0, 1.0 / (3.0 * a))
-        step = most / INTERVALS
-        total = 0.0
-        for i in range(INTERVALS + 1):
-            z = i * step
-            reach = max(1.0 - 2.0 / (3.0 * (1.0 - a * z)), 0.0)
-            weight = 1.0 if i in (0, INTERVALS) else 4.0 if i % 2 else 2.0
-            total += weight * math.exp(-0.5 * z * z) * math.erf(root * reach / b)
-        out[k] = total * step / 3.0 * 2.0 / math.sqrt(2.0 * math.pi)
+        out[k] = _overlap_probability(across[k], along[k])
     return out
+
+
+@njit(**INNER)
+def _overlap_probability(across: float, along: float) -> float:
+    """The probability of `overlap_probability` for one box."""
+    root = math.sqrt(0.5)
+    a = max(across, TINY)
+    b = max(along, TINY)
+    # Simpson's rule in units of the deviation: beyond six there is nothing.
+    most = min(6.0, 1.0 / (3.0 * a))
+    step = most / INTERVALS
+    total = 0.0
+    for i in range(INTERVALS + 1):
+        z = i * step
+        reach = max(1.0 - 2.0 / (3.0 * (1.0 - a * z)), 0.0)
+        weight = 1.0 if i in (0, INTERVALS) else 4.0 if i % 2 else 2.0
+        total += weight * math.exp(-0.5 * z * z) * math.erf(root * reach / b)
+    return total * step / 3.0 * 2.0 / math.sqrt(2.0 * math.pi)
+
+
+@njit(**INNER)
+def on_box(state: F8, covariance: F8, k: int) -> float:
+    """The probability that the box of state k of (6, n), with covariances (n, 6, 6), overlaps that
+    of its target by half or more: `models.predicted_boxes.on_target` for boxes in the image.
+    """
+    deviation = np.empty(2)
+    for axis in range(2):
+        middle = state[axis, k]
+        half = 0.5 * state[4 + axis, k]
+        moved = middle + math.sqrt(covariance[k, axis, axis])
+        size = max((middle + half) - (middle - half), 1e-9)
+        low = (moved - half) - (middle - half)
+        high = (moved + half) - (middle + half)
+        shift = (low + high) / (2 * size)
+        deviation[axis] = math.sqrt(shift * shift)
+    return float(_overlap_probability(deviation[0], deviation[1]))

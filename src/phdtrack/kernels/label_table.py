@@ -9,8 +9,8 @@ import numpy as np
 
 from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.coasting import Followed, Reported, after_frame, is_returning
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.coasting import Followed, Reported, after_frame, is_returning, on_box
+from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
 from phdtrack.kernels.small_arrays import first_not_below
 
 Table = tuple[I8, I8, I8, F8, Bool]
@@ -66,7 +66,7 @@ def _with_labels(table: Table, new: I8) -> Table:
     return out
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def counted(
     table: Table, tag: I8, detection: I8, start: I8, time: F8, settled: int
 ) -> tuple[Table, I8, F8]:
@@ -92,6 +92,34 @@ def counted(
     return (label, identity, states, last, confirmed), all_states, all_last
 
 
+@njit(**ENTRY)
+def counted_frame(
+    table: Table,
+    moments: tuple[I8, I8, I8, F8],
+    settled: int,
+    before: tuple[I8, F8, F8, F8, F8, F8],
+    xyxy: F8,
+    least: int,
+    times: tuple[float, float, float, float, float],
+    follows: bool,
+) -> tuple[Table, I8, F8, tuple[I8, F8, F8, F8, F8, F8]]:
+    """The results of `counted`, and of `followed_after` for the newest moment, in one call.
+
+    ``moments``: labels, measurements, starts and times of `counted`. ``before``: the columns of
+    `coasting.Followed`, which stay the same unless the newest moment ``follows``; ``xyxy`` (n, 4):
+    of its states. ``least``, ``times``: see `followed_after`.
+    """
+    tag, detection, start, time = moments
+    after, states, last = counted(table, tag, detection, start, time, settled)
+    if follows:
+        present = (after[0], after[1], states, last, after[4])
+        now = followed_after(
+            Followed(*before), present, tag[start[time.size - 1] :], xyxy, least, times
+        )
+        before = (now.label, now.last, now.age, now.xyxy, now.speed, now.verdicts)
+    return after, states, last, before
+
+
 @njit(**INNER)
 def _count(
     label: I8, tag: I8, detection: I8, start: I8, time: F8, m: int, states: I8, last: F8
@@ -104,7 +132,7 @@ def _count(
             last[place] = time[m]
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def followed_after(
     before: Followed,
     present: Table,
@@ -140,7 +168,7 @@ def followed_after(
     return after
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def coasting_rows(
     present: Table,
     tag: I8,
@@ -186,7 +214,7 @@ def coasting_rows(
     return shown, unseen[:count]
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def shown_rows(
     present: Table,
     states: tuple[I8, I8, F8, F8],
@@ -266,7 +294,7 @@ def detected_rows(present: Table, tag: I8, detection: I8, row: I8, least: int) -
     return out, sure
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def kept_labels(label: I8, last: F8, since: float, tag: I8) -> Bool:
     """(a,) whether each label was last detected ``since`` then, or is among the tags."""
     kept = np.empty(label.size, np.bool_)
@@ -277,3 +305,66 @@ def kept_labels(label: I8, last: F8, since: float, tag: I8) -> Bool:
         if place < label.size and label[place] == tag[k]:
             kept[place] = True
     return kept
+
+
+@njit(**ENTRY)
+def due_rows(
+    present: Table,
+    states: tuple[I8, I8, F8, F8],
+    boxes: tuple[F8, F8, F8],
+    row: I8,
+    verdicts: F8,
+    rule: tuple[float, float, float, float],
+    odds: tuple[float, float, float],
+    numbers: tuple[int, int, int],
+    flags: tuple[bool, bool, bool],
+    kept: tuple[F8, float, I8],
+) -> tuple[I8, Bool, int, tuple[I8, I8, F8, F8, I8, Bool], Bool]:
+    """The rows of a frame that are due, in one call: `coasting_rows`, what it shows of boxes that
+    are only predicted, `shown_rows` and `kept_labels`.
+
+    Parameters
+    ----------
+    present, states, row : see `shown_rows`.
+    boxes : states (d, n) and covariances (n, d, d), and (n,) the probability that each box lies on
+        its target; (0,) for boxes in the image, of which it is computed.
+    verdicts, rule : see `coasting_rows`.
+    odds : its prior and share, and the probability from which a box that is only predicted is
+        shown.
+    numbers : states from which a label is confirmed; the frame's number; the highest identity.
+    flags : whether states without a detection may be shown at all; those of `coasting_rows`.
+    kept : the last detections (a,) that are settled, since when, and labels that are kept anyway.
+    """
+    tag, detection, _, weight = states
+    state, covariance, chance = boxes
+    least, number, used = numbers
+    bridges, by_evidence, observed = flags
+    last, since, open_tags = kept
+    coasts = np.empty(tag.size, np.bool_)
+    for k in range(tag.size):
+        coasts[k] = False
+    if bridges:
+        coasts, unseen = coasting_rows(
+            present,
+            tag,
+            detection,
+            verdicts,
+            rule,
+            (odds[0], odds[1]),
+            least,
+            (by_evidence, observed),
+        )
+        if observed:
+            for k in unseen:
+                lies = chance[k] if chance.size > 0 else on_box(state, covariance, k)
+                coasts[k] = weight[k] * lies > odds[2]
+    identity, confirmed, used, columns = shown_rows(
+        present, states, row, coasts, least, number, used
+    )
+    return (
+        identity,
+        confirmed,
+        used,
+        columns,
+        kept_labels(present[0], last, since, open_tags),
+    )
