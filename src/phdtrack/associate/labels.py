@@ -402,7 +402,9 @@ class Labelled(Checked):
         after = LabelledState(
             history, state.recent, table, state.time, used, state.followed, state.returns
         )
-        return after, Tracks(*columns, class_id=np.zeros(len(columns[0]), np.int64))
+        frame, names, boxes, weight, detection, sure = columns
+        one_class = np.zeros(len(frame), np.int64)
+        return after, Tracks(frame, names, boxes, weight, detection, sure, one_class)
 
     def _remembered(
         self, state: LabelledState, due: int, time: float, model: Model

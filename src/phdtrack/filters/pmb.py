@@ -113,8 +113,9 @@ from phdtrack.kernels.pmb_past import (
     reported_boxes,
     scaled,
 )
+from phdtrack.models.births import MeasurementBirth
 from phdtrack.models.box import BoxMotion, BoxSensor
-from phdtrack.models.clutter import ScoredClutter
+from phdtrack.models.clutter import BoxClutter, ScoredClutter
 from phdtrack.models.gaussian import (
     SAME,
     Transform,
@@ -125,7 +126,8 @@ from phdtrack.models.gaussian import (
     predicted_measurements,
 )
 from phdtrack.models.pasts import carried as carried_pasts
-from phdtrack.protocols import Filter, Model
+from phdtrack.models.volumes import LOCAL_FACTOR
+from phdtrack.protocols import Clutter, Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
 # The probability that a target stands still when it is first detected, and the seconds for which,
@@ -146,6 +148,9 @@ SCORE_MEMORY = 15.0
 ANEW = 0.2
 NO_NUMBERS: F8 = np.zeros(0)
 NOBODY: I8 = np.zeros((0, 2), np.int64)
+# No targets seen for the first time that are given, and no density of boxes that is local.
+NOBODY_NEW = (np.zeros(0), np.zeros((0, 6)), np.zeros((0, 6, 6)))
+NOWHERE = (0.0, 0.0, 0.0, 0.0)
 
 
 @lru_cache(maxsize=8)
@@ -344,22 +349,22 @@ class PMB(Checked, Filter[Bernoullis]):
             and not len(state.undetected)
         ):
             return Filter.step(self, state, z, model, dt, rng)
-        births, hidden = self._births(state, model, z, dt)
-        if len(births.weight):
+        first = self._first_seen(state, model, z, dt)
+        if first is None:
             return Filter.step(self, state, z, model, dt, rng)
+        hidden, new = first
         before, pasts, looks = _with_pasts(state.present, state.pasts, model.appearance)
         known = len(looks.mean) > 0 or len(pasts.rows) > 0
         mean, covariance = carried(model, before.mean, before.covariance)
-        clutter, scores, seen, gate = self._seen(model, z, dt)
-        new = new_targets(model, births, seen, gate, self.transform)
-        layer, learned, gone, counted, sure, pasts = stepped_boxes(
+        scores = self._scores(model.clutter, z)
+        layer, clutter, learned, gone, counted, sure, pasts = stepped_boxes(
             (before.targets, before.hypotheses, mean, covariance),
             (tuple(motion.dynamics(dt, dt / model.rate)), self._factors, *sensor.numbers),
             self._chances(dt / model.rate),
-            tuple(seen),
-            tuple(new),
+            (z, sensor.measurement_noise(z), *self._local_clutter(model, z, dt)),
+            new,
             tuple(scores),
-            tuple(self._settings(gate, model, state.detections, scores.prior < CERTAIN)),
+            tuple(self._settings(self._gate(4), model, state.detections, scores.prior < CERTAIN)),
             (dt, FAST_SHARE, self._turn(dt, model), FAST_SPEED, self.turns_per_second > 0),
             state.next_label,
             (tuple(pasts), plain(looks)) if known else None,
@@ -395,8 +400,11 @@ class PMB(Checked, Filter[Bernoullis]):
         clutter, scores = self._clutter(model, z, dt)
         seen = measurements(model.sensor, z, clutter)
         self._check_noise(len(seen.period))
-        gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
-        return clutter, scores, seen, gate
+        return clutter, scores, seen, self._gate(len(seen.period))
+
+    def _gate(self, components: int) -> float:
+        """The gate of measurements of so many components, in deviations."""
+        return math.sqrt(chi2_quantile(components, self.gate_probability))
 
     @property
     def _prior(self) -> float:
@@ -509,17 +517,50 @@ class PMB(Checked, Filter[Bernoullis]):
         [PMB (18)].
         """
         births = with_births(state.undetected, model, z, dt)
+        more, hidden = self._visible(state, model, dt)
+        density, mean, covariance = births.around
+        return Births(NewTargets(density * more, mean, covariance), *births[1:]), hidden
+
+    def _visible(self, state: Bernoullis, model: Model, dt: float) -> tuple[float, float]:
+        """How many times as many targets are detected for the first time as are born in the
+        interval, and `Bernoullis.hidden` after it [PMB (18)].
+        """
         if self.mean_visible_time == 0:
-            return births, 0.0
+            return 1.0, 0.0
         occluded = self.mean_occluded_time / (self.mean_visible_time + self.mean_occluded_time)
         _, reappear = self._changes(dt / (model.rate * model.pace))
         seconds = model.birth_seconds(dt)
         hidden = state.hidden * model.survival(dt)
         visible = (1 - occluded) * seconds + reappear * hidden
+        more = visible / max(seconds, TINY)
+        return more, occluded * seconds + (1 - reappear) * hidden
+
+    def _first_seen(
+        self, state: Bernoullis, model: Model, z: F8, dt: float
+    ) -> tuple[float, tuple[Any, ...]] | None:
+        """`Bernoullis.hidden` after a frame of boxes, and its `kernels.pmb_boxes.FirstSeen`; None
+        where births are a mixture.
+        """
+        birth = model.birth
+        if type(birth) is MeasurementBirth and birth.births_per_detection:
+            more, hidden = self._visible(state, model, dt)
+            rate = birth.births_per_detection
+            return hidden, (NOBODY_NEW, (rate, model.birth_seconds(dt), more, LOCAL_FACTOR))
+        births, hidden = self._births(state, model, z, dt)
+        if len(births.weight):
+            return None
+        p_detect = model.sensor.p_detect(z)
         density, mean, covariance = births.around
-        density = density * (visible / max(seconds, TINY))
-        births = Births(NewTargets(density, mean, covariance), *births[1:])
-        return births, occluded * seconds + (1 - reappear) * hidden
+        return hidden, ((p_detect * density, mean, covariance), NOWHERE)
+
+    def _local_clutter(
+        self, model: Model, z: F8, dt: float
+    ) -> tuple[F8, tuple[float, float, float, float]]:
+        """κ(z) of boxes as `kernels.pmb_boxes.Seen` has it: in numbers where it is local."""
+        base, more, again = self._false_alarms(model, dt)
+        if type(base) is BoxClutter and not base.clutter_per_frame:
+            return NO_NUMBERS, (base.clutter_per_detection, more, again, LOCAL_FACTOR)
+        return base.intensity(z) * more * again, NOWHERE
 
     def _learned(self, counted: tuple[float, float, float]) -> float:
         """The odds of p_D as a multiple of the sensor's, by `Bernoullis.detections`."""
@@ -545,28 +586,37 @@ class PMB(Checked, Filter[Bernoullis]):
         )
 
     def _clutter(self, model: Model, z: F8, dt: float) -> tuple[F8, Scores]:
-        """κ(z) (N,) without scores, and what the scores say of each measurement.
+        """κ(z) (N,) without scores, and what the scores say of each measurement."""
+        base, more, again = self._false_alarms(model, dt)
+        return base.intensity(z) * more * again, self._scores(model.clutter, z)
 
-        Only scores tell false alarms that last from targets.
+    def _false_alarms(self, model: Model, dt: float) -> tuple[Clutter, float, float]:
+        """The false alarms without scores, how many times as many there are, and how many of these
+        come again after a longer interval than a time unit.
         """
-        clutter = model.clutter
+        base = model.clutter
         anew = ANEW
-        if isinstance(clutter, ScoredClutter):
-            anew = clutter.anew
-            intensity = clutter.without_scores(z)
-            known = clutter.missing[0] > 0
-            lasting = known or np.count_nonzero(clutter.log_odds) > 0
-            prior = self._prior if lasting else CERTAIN
-            scores = Scores(clutter.odds, clutter.log_odds, prior, clutter.missing)
-        else:
-            intensity = clutter.intensity(z)
-            nothing = np.zeros(z.shape[1])
-            scores = Scores(nothing + 1, nothing, CERTAIN, (0.0, 0.0))
+        more = 1.0
+        if isinstance(base, ScoredClutter):
+            anew = base.anew
+            more = base.more
+            base = base.base
         interval = dt / model.pace
         if self.clutter_decay and interval > 1:
             again = math.exp(-self.clutter_decay * (interval - 1))
-            intensity = intensity * (anew + (1 - anew) * again)
-        return intensity, scores
+            return base, more, anew + (1 - anew) * again
+        return base, more, 1.0
+
+    def _scores(self, clutter: Clutter, z: F8) -> Scores:
+        """The evidence of the scores of the measurements ``z`` (m, N). Only scores tell false
+        alarms that last from targets.
+        """
+        if isinstance(clutter, ScoredClutter):
+            lasting = clutter.missing[0] > 0 or np.count_nonzero(clutter.log_odds) > 0
+            prior = self._prior if lasting else CERTAIN
+            return Scores(clutter.odds, clutter.log_odds, prior, clutter.missing)
+        nothing = np.zeros(z.shape[1])
+        return Scores(nothing + 1, nothing, CERTAIN, (0.0, 0.0))
 
     def _check_noise(self, components: int) -> None:
         """Raise `InputError` if noises cannot be learned of so many measured components."""

@@ -16,11 +16,13 @@ from phdtrack.kernels.box import (
     Noise,
     box_covariances,
     box_deviations,
+    local_densities,
     predicted_boxes,
+    states_of_boxes,
 )
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets
+from phdtrack.kernels.gaussian import FOUR_LENGTHS, Expected, Measurements, NewTargets
 from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import Layer, Scores, Settings, predicted_layer, updated_layer
 from phdtrack.kernels.small_arrays import floats
@@ -63,6 +65,68 @@ class Turns(NamedTuple):
     possible: bool
 
 
+class Seen(NamedTuple):
+    """The measurements of a frame.
+
+    ``z`` (m, N), m ≥ 4. ``noise``: see `kernels.gaussian.Measurements`. ``clutter`` (N,): κ(z);
+    (0,): that at which ``local`` false alarms, times two factors, are expected in the
+    neighbourhood of each box, whose volume is the last number times w²h² (`models.volumes`).
+    """
+
+    z: F8
+    noise: F8
+    clutter: F8
+    local: tuple[float, float, float, float]
+
+
+class FirstSeen(NamedTuple):
+    """Targets whose first detection is measurement j.
+
+    ``given``: the columns of `kernels.gaussian.NewTargets`; of 0 targets: those around each box,
+    with the density of ``local``, which is as that of `Seen`.
+    """
+
+    given: tuple[F8, F8, F8]
+    local: tuple[float, float, float, float]
+
+
+@njit(**INNER)
+def _local(z: F8, local: tuple[float, float, float, float]) -> F8:
+    """(N,) the density of ``local`` at boxes ``z`` (m, N), as of `Seen`."""
+    rate, first, second, volume = local
+    out: F8 = local_densities(z, rate, volume)
+    for j in range(out.size):
+        out[j] = out[j] * first * second
+    return out
+
+
+@njit(**INNER)
+def _measurements(seen: Seen) -> Measurements:
+    """The measurements with κ(z)."""
+    n = seen.z.shape[1]
+    z = np.empty((n, len(OBSERVED)))
+    for j in range(n):
+        for a in range(len(OBSERVED)):
+            z[j, a] = seen.z[a, j]
+    clutter = seen.clutter if seen.clutter.size == n else _local(seen.z, seen.local)
+    return Measurements(z, seen.noise, clutter, FOUR_LENGTHS)
+
+
+@njit(**INNER)
+def _first_seen(z: F8, first: FirstSeen, noise: Noise, speed: float, p_detect: float) -> NewTargets:
+    """The targets whose first detections are the boxes ``z`` (m, N) [PMB (5)]."""
+    density, mean, covariance = first.given
+    if density.size < z.shape[1]:
+        states, covariance = states_of_boxes(z, noise, speed)
+        density = _local(z, first.local)
+        mean = np.empty((z.shape[1], len(states)))
+        for j in range(z.shape[1]):
+            density[j] = p_detect * density[j]
+            for a in range(len(states)):
+                mean[j, a] = states[a, j]
+    return NewTargets(density, mean, covariance)
+
+
 @njit(**INNER)
 def _columns(mean: F8) -> F8:
     """(d, n) the states (n, d) as columns."""
@@ -78,8 +142,8 @@ def stepped_boxes(
     layer: Layer,
     world: BoxWorld,
     chances: Chances,
-    m: Measurements,
-    new: NewTargets,
+    seen: Seen,
+    first: FirstSeen,
     scores: Scores,
     settings: Settings,
     turns: Turns,
@@ -87,24 +151,28 @@ def stepped_boxes(
     appearance: tuple[Pasts, Looks] | None,
 ) -> tuple[
     tuple[Any, ...],
+    F8,
     tuple[float, float, float, F8, F8, int, float],
     I8,
     tuple[float, float, float],
     I8,
     tuple[Records, F4] | None,
 ]:
-    """The targets one frame later, with new ones, and what was learned: `predicted_layer` and
+    """The targets one frame later, with new ones, κ(z), and what was learned: `predicted_layer` and
     `updated_layer`, which describe the rest.
 
     Parameters
     ----------
     layer : the targets of the frame before, in the pixels of this one.
-    world, chances, turns : records of this module, as plain tuples.
-    m, new, scores, settings, fresh, appearance : see `updated_layer`.
+    world, chances, seen, first, turns : records of this module, as plain tuples.
+    scores, settings, fresh, appearance : see `updated_layer`.
     """
     dynamics, factors, noise, speed, p_detect, of_target = world
     occlude, reappear, stand, freedom, genuine = chances
     turns = Turns(*turns)
+    seen = Seen(*seen)
+    m = _measurements(seen)
+    new = _first_seen(seen.z, FirstSeen(*first), noise, speed, p_detect)
     targets, hypotheses, mean, covariance = layer
     many = len(hypotheses)
     factor = np.empty(many if len(factors) > 0 else 0)
@@ -144,6 +212,7 @@ def stepped_boxes(
     )
     return (
         (after.targets, after.hypotheses, after.mean, after.covariance),
+        m.clutter,
         learned,
         gone,
         counted,

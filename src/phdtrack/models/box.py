@@ -64,6 +64,7 @@ _SCALINGS = {"particle": PARTICLE, "detection": DETECTION, "fixed": FIXED, "give
 Scaling = Literal["particle", "detection", "fixed", "given"]
 # Smallest variance of the linear-Gaussian view, pixels².
 TINY = 1e-12
+_NO_NOISE = np.zeros((0, 4, 4))
 
 
 @lru_cache(maxsize=8)
@@ -172,7 +173,7 @@ class BoxSensor(Checked):
     def target_noise(self, x: F8) -> F8:
         """(L, 4, 4) R if it scales with the target or is constant, else (0, 4, 4)."""
         if self.scaling in ("detection", "given"):
-            return np.zeros((0, 4, 4))
+            return _NO_NOISE
         return np.asarray(box_covariances(x[4:6], self._numbers))
 
     def measurement_noise(self, z: F8) -> F8:
@@ -180,7 +181,7 @@ class BoxSensor(Checked):
         if self.scaling == "given":
             return np.maximum(z[4:8], TINY).T[:, :, None] * np.eye(4)
         if self.scaling != "detection":
-            return np.zeros((0, 4, 4))
+            return _NO_NOISE
         return np.asarray(box_covariances(z[2:4], self._numbers))
 
     def p_detect(self, x: F8) -> F8:

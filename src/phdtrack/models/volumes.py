@@ -29,6 +29,8 @@ from phdtrack.types import F8, Bool
 # Half the extent of a local volume in position, in boxes; its range of sizes, in boxes.
 REACH = 1.0
 SIZES = (0.5, 1.5)
+# The volume of the neighbourhood of a box, in w²h².
+LOCAL_FACTOR = (2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2
 
 
 def image_area(frame_size: tuple[float, float]) -> float:
@@ -57,8 +59,7 @@ def local_density(z: F8, rate: float) -> F8:
     """(N,) the density at each measurement z = (px, py, w, h) of boxes of which ``rate`` are
     expected in its neighbourhood, pixel⁻⁴.
     """
-    factor = (2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2
-    return np.asarray(local_densities(np.ascontiguousarray(z), float(rate), factor))
+    return np.asarray(local_densities(np.ascontiguousarray(z), float(rate), LOCAL_FACTOR))
 
 
 PLANE_REACH = 6.0
