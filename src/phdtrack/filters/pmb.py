@@ -104,6 +104,7 @@ from phdtrack.kernels.pmb import (
 )
 from phdtrack.kernels.pmb_boxes import stepped_boxes
 from phdtrack.kernels.pmb_past import (
+    Columns,
     best_trace,
     earlier,
     first_earlier,
@@ -111,6 +112,7 @@ from phdtrack.kernels.pmb_past import (
     of_targets,
     present_targets,
     reported_boxes,
+    reported_frames,
     scaled,
 )
 from phdtrack.models.births import MeasurementBirth
@@ -728,10 +730,9 @@ class BestBernoullis(Checked):
         layers = state.layers
         frames = list[Estimates | None]()
         if len(layers) == 1:
-            return self._reported(state, best_trace(layers[0].targets), model, ())
-        present, now, before, same = first_earlier(
-            layers[-1][:2], layers[-2][:2], (state.ended, state.frame - 1), self.min_weight
-        )
+            trace = best_trace(layers[0].targets)
+            return self._reported(state, self._columns(layers[0], trace, model), model, ())
+        columns, past_columns, now, before, same = self._newest(state, model)
         for back in range(1, len(layers)):
             after = layers[-back]
             then = layers[-back - 1]
@@ -747,34 +748,55 @@ class BestBernoullis(Checked):
                     False,
                     self.min_weight,
                 )
+                if not same:
+                    past_columns = self._columns(then, now, model)
             if same:
                 break
-            frames.append(Estimates(*self._columns(then, now, model)))
+            frames.append(Estimates(*past_columns))
         unchanged = (None,) * (len(layers) - 1 - len(frames))
-        revised = (*unchanged, *reversed(frames))
-        return self._reported(state, present, model, revised)
+        return self._reported(state, columns, model, (*unchanged, *reversed(frames)))
+
+    def _newest(
+        self, state: Bernoullis, model: Model
+    ) -> tuple[Columns, Columns, Records, Records, bool]:
+        """The columns of the present and of the frame before it; the traces of that frame, as seen
+        now and as seen a frame ago; and whether both report the same: then that frame's columns
+        tell nothing.
+        """
+        newest = state.layers[-1]
+        then = state.layers[-2]
+        past = (state.ended, state.frame - 1)
+        if type(model.sensor) is BoxSensor:
+            columns, past_columns, traces, same = reported_frames(
+                tuple(newest), tuple(then), past, self.min_weight, self.merge_iou
+            )
+            return columns, past_columns, *traces, same
+        present, now, before, same = first_earlier(newest[:2], then[:2], past, self.min_weight)
+        columns = self._columns(newest, present, model)
+        if same:
+            return columns, columns, now, before, same
+        return columns, self._columns(then, now, model), now, before, same
 
     def _reported(
         self,
         state: Bernoullis,
-        trace: Records,
+        columns: Columns,
         model: Model,
         past: tuple[Estimates | None, ...],
     ) -> Estimates:
         """The targets of the present with what their pasts look like."""
         now = state.present
-        columns = self._columns(now, trace, model)
         if model.appearance is None or not len(state.pasts.rows):
             return Estimates(*columns, past)
         label = columns[-1]
         looks = looks_of_targets(now.targets, now.hypotheses, label, *state.pasts)
         return Estimates(*columns, past, *looks)
 
-    def _columns(self, layer: Layer, trace: Records, model: Model) -> tuple[F8, F8, F8, F8, I8, I8]:
+    def _columns(self, layer: Layer, trace: Records, model: Model) -> Columns:
         """The columns of `Estimates`, up to the labels, of targets of enough presence, without
         those that overlap one followed for longer.
         """
-        columns: tuple[F8, F8, F8, F8, I8, I8]
+        columns: Columns
         if type(model.sensor) is BoxSensor:
             columns = reported_boxes(tuple(layer), trace, self.min_weight, self.merge_iou)
             return columns

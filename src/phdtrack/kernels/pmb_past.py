@@ -21,6 +21,9 @@ from phdtrack.kernels.small_arrays import first_not_below
 # Of each target of a frame: the hypothesis that leads to the one that is best today, −1 for none;
 # the greatest presence from that frame on.
 TRACE = records("presence", "place")
+# States that are reported: means (d, n), covariances (n, d, d), presences (n,), boxes (n, 4),
+# measurements (n,) and labels (n,).
+Columns = tuple[F8, F8, F8, F8, I8, I8]
 
 
 @njit(**INNER)
@@ -96,7 +99,7 @@ def best_trace(targets: Records) -> Records:
     return trace
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def first_earlier(
     newest: tuple[Records, Records],
     then: tuple[Records, Records],
@@ -172,10 +175,10 @@ def _boxes_of(trace: Records, target: I8, mean: F8) -> tuple[F8, I8]:
     return boxes, order
 
 
-@njit(**ENTRY)
+@njit(**MERGED)
 def reported_boxes(
     layer: tuple[Records, Records, F8, F8], trace: Records, min_weight: float, overlap: float
-) -> tuple[F8, F8, F8, F8, I8, I8]:
+) -> Columns:
     """The boxes that are reported of a frame, in one call: means, covariances, presences, boxes (n,
     4), measurements and labels, as of `of_targets`.
 
@@ -196,6 +199,40 @@ def reported_boxes(
             boxes = boxes[:n]
     mean, covariance, weight, detection, label = of_targets(layer, trace, target)
     return mean, covariance, weight, boxes.copy(), detection, label
+
+
+@njit(**ENTRY)
+def reported_frames(
+    newest: tuple[Records, Records, F8, F8],
+    then: tuple[Records, Records, F8, F8],
+    past: tuple[I8, int],
+    min_weight: float,
+    overlap: float,
+) -> tuple[Columns, Columns, tuple[Records, Records], bool]:
+    """The columns of `reported_boxes` of the present and of the frame before it, in one call; the
+    traces of that frame, as seen now and as seen a frame ago; and whether both report the same
+    states up to there: then the second columns are empty.
+    """
+    present, now, before, same = first_earlier(
+        (newest[0], newest[1]), (then[0], then[1]), past, min_weight
+    )
+    shown = now[:0] if same else now
+    # Both through one call: what is merged is compiled for each place.
+    return (
+        _reported(newest, present, min_weight, overlap),
+        _reported(then, shown, min_weight, overlap),
+        (now, before),
+        same,
+    )
+
+
+@njit(**INNER)
+def _reported(
+    layer: tuple[Records, Records, F8, F8], trace: Records, min_weight: float, overlap: float
+) -> Columns:
+    """The columns of `reported_boxes`."""
+    columns: Columns = reported_boxes(layer, trace, min_weight, overlap)
+    return columns
 
 
 @njit(**MERGED)
