@@ -298,9 +298,11 @@ def _usable(
     """The detections that the filter gets and their measurements (m, N), without those that show no
     possible state, and the number of these.
     """
-    if np.isfinite(z).all():
+    finite = np.isfinite(z)
+    # Counted, as `all` takes several times as long.
+    if np.count_nonzero(finite) == finite.size:
         return divided, z, 0
-    usable = np.asarray(np.isfinite(z).all(axis=0))
+    usable = np.asarray(finite.all(axis=0))
     kept = (divided or DividedDetections.unchanged(detections)).select(usable)
     return kept, np.ascontiguousarray(z[:, usable]), int(np.count_nonzero(~usable))
 

@@ -50,6 +50,11 @@ class SupportsArray(Protocol):
 # Numbers as callers give them. NumPy's `ArrayLike` would take a word for an array.
 Vector = SupportsArray | Sequence[float | np.number[Any]]
 Matrix = SupportsArray | Sequence[SupportsArray | Sequence[float | np.number[Any]]]
+# Empty arrays, which nobody can write into: those of all records are the same.
+NO_NUMBERS: F8 = np.zeros(0)
+NO_INTEGERS: I8 = np.zeros(0, np.int64)
+NO_DESCRIPTORS: F4 = np.zeros((0, 0), np.float32)
+NO_PAIRS: I8 = np.zeros((0, 2), np.int64)
 STILL: F8 = np.zeros(
     (0, 3)
 )  # stands for a (3, 3) homography between the pixels of two frames: there is none
@@ -110,7 +115,7 @@ class Detections:
     class_id: I8
     covariance: F8 | None = None
     observed: bool = True
-    row: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    row: I8 = field(default_factory=lambda: NO_INTEGERS)
     embeddings: F4 | None = None
 
     def __post_init__(self) -> None:
@@ -201,7 +206,7 @@ class DetectionTable:
     detections: Detections
     empty: int = 0
     names: Mapping[int, str] = field(default_factory=dict)
-    file_row: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    file_row: I8 = field(default_factory=lambda: NO_INTEGERS)
     rows: int = 0
 
     def __post_init__(self) -> None:
@@ -288,7 +293,7 @@ class Particles(_Weighted):
 
     state: F8
     weight: F8
-    start: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    start: I8 = field(default_factory=lambda: NO_INTEGERS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -390,9 +395,9 @@ class UpdateInfo:
     clutter: F8
     clutter_probability: F8
     vanished: int = 0
-    cardinality: F8 = field(default_factory=lambda: np.zeros(0))
+    cardinality: F8 = field(default_factory=lambda: NO_NUMBERS)
     detected: float = math.nan
-    sure: I8 = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    sure: I8 = field(default_factory=lambda: NO_PAIRS)
 
     @classmethod
     def without_update(cls, mass: float) -> UpdateInfo:
@@ -531,11 +536,11 @@ class Estimates:
     weight: F8
     xyxy: F8
     detection: I8
-    tag: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    tag: I8 = field(default_factory=lambda: NO_INTEGERS)
     past: tuple[Estimates | None, ...] = ()
-    appearance: F4 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    appearance_count: F8 = field(default_factory=lambda: np.zeros(0))
-    followed: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    appearance: F4 = field(default_factory=lambda: NO_DESCRIPTORS)
+    appearance_count: F8 = field(default_factory=lambda: NO_NUMBERS)
+    followed: I8 = field(default_factory=lambda: NO_INTEGERS)
 
     @classmethod
     def empty(cls, dim: int) -> Estimates:
@@ -555,14 +560,8 @@ class Estimates:
         """The states of the present with `Detections.row` for each detection; ``row`` (n,) is that
         of each measurement.
         """
-        return Estimates(
-            self.state,
-            self.covariance,
-            self.weight,
-            self.xyxy,
-            row_of(row, self.detection),
-            self.tag,
-        )
+        rows = row_of(row, self.detection)
+        return Estimates(self.state, self.covariance, self.weight, self.xyxy, rows, self.tag)
 
     def select(self, index: I8 | Bool) -> Estimates:
         """The states at ``index`` (integers or a mask), in that order."""
@@ -627,11 +626,11 @@ class MeasurementHistory:
     start: I8
     z: F8
     warp: F8
-    row: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    class_id: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    score: F8 = field(default_factory=lambda: np.zeros(0))
-    embeddings: F4 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    pace: F8 = field(default_factory=lambda: np.zeros(0))
+    row: I8 = field(default_factory=lambda: NO_INTEGERS)
+    class_id: I8 = field(default_factory=lambda: NO_INTEGERS)
+    score: F8 = field(default_factory=lambda: NO_NUMBERS)
+    embeddings: F4 = field(default_factory=lambda: NO_DESCRIPTORS)
+    pace: F8 = field(default_factory=lambda: NO_NUMBERS)
 
     def __post_init__(self) -> None:
         count = self.z.shape[1]
@@ -695,7 +694,7 @@ class Tracks:
     confidence: F8
     detection: I8
     confirmed: Bool
-    class_id: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    class_id: I8 = field(default_factory=lambda: NO_INTEGERS)
     data: Columns = field(default_factory=dict)
 
     def __post_init__(self) -> None:

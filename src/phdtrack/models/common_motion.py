@@ -147,7 +147,8 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             bases.append(_after(left, given))
         if not z.shape[1] or not len(state.mean):
             warp = bases[-1 if state.followed else 0]
-            return self._moved(state, warp, given, dt, fading), warp
+            velocity, left = self._moved((state.left, state.followed), warp, given, dt, fading)
+            return replace(state, velocity=velocity, left=left), warp
         alternatives = [
             self._alternative(state, z, model, base, dt, which) for which, base in enumerate(bases)
         ]
@@ -163,24 +164,36 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         for which, one in enumerate(alternatives):
             excess[which] = one.excess
             weight[which] = one.weight
+        velocity, left = self._moved((state.left, followed), chosen.warp, given, dt, fading)
         after = CameraState(
             state.mean,
             state.covariance,
-            state.velocity,
+            velocity,
             excess,
             weight,
             chosen.scale,
             chosen.pairs,
             evidence,
             followed,
-            state.left,
+            left,
         )
-        return self._moved(after, chosen.warp, given, dt, fading), chosen.warp
+        return after, chosen.warp
 
     def with_targets(self, state: CameraState, estimates: Estimates) -> CameraState:
         """The state with the targets of this frame."""
-        mean = np.ascontiguousarray(estimates.state.T)
-        return replace(state, mean=mean, covariance=estimates.covariance)
+        # `dataclasses.replace` takes several times as long.
+        return CameraState(
+            np.ascontiguousarray(estimates.state.T),
+            estimates.covariance,
+            state.velocity,
+            state.excess,
+            state.weight,
+            state.scale,
+            state.pairs,
+            state.evidence,
+            state.followed,
+            state.left,
+        )
 
     def _alternative(
         self, state: CameraState, z: F8, model: Model, base: F8, dt: float, which: int
@@ -238,18 +251,18 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         return found
 
     def _moved(
-        self, state: CameraState, warp: F8, given: F8, dt: float, fading: float
-    ) -> CameraState:
-        """The state after the camera moved by ``warp`` in the interval; ``given`` is its given
-        motion.
+        self, known: tuple[F8, bool], warp: F8, given: F8, dt: float, fading: float
+    ) -> tuple[F8, F8]:
+        """`CameraState.velocity` and ``left`` after the camera moved by ``warp`` in the interval.
+
+        ``known``: ``left`` before, and whether the ``given`` motion is followed.
         """
         frame = _frame_of(self.frame_size)
         velocity = motion_of(warp, frame) / dt if len(warp) else NO_MOTION
-        if state.followed or not len(given):
-            left = fading * state.left
-        else:
-            left = motion_of(given, frame) / dt - velocity
-        return replace(state, velocity=velocity, left=left)
+        left, followed = known
+        if followed or not len(given):
+            return velocity, fading * left
+        return velocity, motion_of(given, frame) / dt - velocity
 
 
 @lru_cache(maxsize=8)

@@ -39,6 +39,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -141,7 +142,7 @@ class ScoresSeen:
     @property
     def kind(self) -> int:
         """The scale of scores: probabilities, log odds, or ranked."""
-        return int(scaled(_NO_SCORES, *self.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST)[2])
+        return _kind_of(*self.extent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +186,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         if kind != RANK:
             believed = CLAIMED_SLOPE * self._prior(kind)[0]
             of_lasting = min((slope + SURE * deviation) / believed, 1.0)
-        steady = self._claimed(kind)
+        steady = _claimed(kind)
         if state.steady is not None and kind == state.kind:
             steady = state.steady
         found: tuple[F8, F8] = evidence_of(
@@ -208,15 +209,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         if kind == LOGIT:
             return 1.0, 0.0
         slope, even = RANKS if kind == RANK else (self.slope, self.even_score)
-        return slope, -slope * math.log(even / (1 - even))
-
-    def _claimed(self, kind: int) -> Steadiness:
-        """The claims of scores about lasting false alarms, as the prior of what chains show."""
-        claim = (1.0, 0.0)
-        if kind == RANK:
-            slope, offset = self._prior(kind)
-            claim = (LASTING_SHARE * slope, LASTING_SHARE * offset)
-        return Steadiness(PRIOR_PRECISION * claim, _PRECISION, PRIOR_BREAKS)
+        return slope, _offset(slope, even)
 
     def start(self) -> ScoresSeen:
         """No score seen."""
@@ -269,8 +262,8 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         extent, kind, x, scores, level = _scaled(state, score)
         same = kind == state.kind
         # As plain tuples: Numba looks up the class of every named one.
-        prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
-        claimed = tuple(self._claimed(kind))
+        prior = _prior_line(*self._prior(kind))
+        claimed = tuple(_claimed(kind))
         (waiting, length), known, learned, steady, counts = learned_frame(
             state.boxes,
             boxes,
@@ -302,6 +295,34 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             _with_neighbours(state.near_alone, *counts[3:]),
             level,
         )
+
+
+# What follows is the same in nearly every frame, and takes longer than a kernel.
+@lru_cache(maxsize=8)
+def _kind_of(low: float, high: float) -> int:
+    """The scale of scores between these two."""
+    return int(scaled(_NO_SCORES, low, high, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST)[2])
+
+
+@lru_cache(maxsize=8)
+def _claimed(kind: int) -> Steadiness:
+    """The claims of scores about lasting false alarms, as the prior of what chains show."""
+    claim = (1.0, 0.0)
+    if kind == RANK:
+        slope, even = RANKS
+        claim = (LASTING_SHARE * slope, LASTING_SHARE * _offset(slope, even))
+    return Steadiness(PRIOR_PRECISION * claim, _PRECISION, PRIOR_BREAKS)
+
+
+@lru_cache(maxsize=8)
+def _prior_line(slope: float, offset: float) -> tuple[F8, F8, F8]:
+    """The columns of `Line` of the prior with these a and b."""
+    return PRIOR_PRECISION * (slope, offset), _PRECISION, PRIOR_VERDICTS
+
+
+def _offset(slope: float, even: float) -> float:
+    """b of a line that is 0 at the score ``even``."""
+    return -slope * math.log(even / (1 - even))
 
 
 def _with_neighbours(before: tuple[float, float], count: int, asked: int) -> tuple[float, float]:
