@@ -239,7 +239,8 @@ class Labelled(Checked):
             now = replace(now, estimates=now.estimates.select(known))
         recent.append(now)
         interval = dt if now.observed and self.coast_by_evidence else 0.0
-        table, present, followed = self._counted(state, recent, settled, interval, model)
+        flat = _flat(recent)
+        table, present, followed = self._counted(state, recent, flat, settled, interval, model)
         history = state.history
         for moment in recent[:settled]:
             history = history.append(moment)
@@ -256,12 +257,14 @@ class Labelled(Checked):
         due = len(extended) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
-        return self._emit(extended, due, present, model)
+        open_labels = flat[0][flat[2][settled] :]
+        return self._emit(extended, due, present, open_labels, model)
 
     def _counted(
         self,
         state: LabelledState,
         moments: Sequence[Moment],
+        flat: tuple[I8, I8, I8, F8],
         settled: int,
         dt: float,
         model: Model,
@@ -270,7 +273,7 @@ class Labelled(Checked):
         all; and the tracks that may be missing after the newest one, with its verdicts. After an
         interval of 0 these are as they were.
 
-        Every label of the moments gets a row.
+        Every label of the moments, which are ``flat`` as of `_flat`, gets a row.
         """
         now = moments[-1]
         before = state.followed
@@ -281,7 +284,7 @@ class Labelled(Checked):
             before = before._replace(xyxy=to_xyxy(np.stack([x, y, w, h])))
         after, states, last, followed = counted_frame(
             tuple(state.table),
-            _flat(moments),
+            flat,
             settled,
             tuple(before),
             now.estimates.xyxy,
@@ -318,8 +321,9 @@ class Labelled(Checked):
         """The online rows of the last ``output_delay`` frames."""
         parts = []
         for due in range(max(0, len(state) - self.output_delay), len(state)):
-            _, present, _ = self._counted(state, state.recent, 0, 0.0, model)
-            state, tracks = self._emit(state, due, present, model)
+            flat = _flat(state.recent)
+            _, present, _ = self._counted(state, state.recent, flat, 0, 0.0, model)
+            state, tracks = self._emit(state, due, present, flat[0], model)
             parts.append(tracks)
         return Tracks.concatenate(parts)
 
@@ -367,14 +371,14 @@ class Labelled(Checked):
         return replace(state, used=identity)
 
     def _emit(
-        self, state: LabelledState, due: int, present: LabelTable, model: Model
+        self, state: LabelledState, due: int, present: LabelTable, open_labels: I8, model: Model
     ) -> tuple[LabelledState, Tracks]:
         """The state with the identities of the frame at place ``due`` and without what is
-        forgotten, and the frame's rows as it is seen now.
+        forgotten, and the frame's rows as it is seen now. ``open_labels``: of the recent frames.
         """
         moment = state[due]
         e = moment.estimates
-        history, since, older = self._remembered(state, due, moment.time, model)
+        history, since, kept_labels = self._remembered(state, due, open_labels, model)
         chance = _NONE
         if type(model.sensor) is not BoxSensor and np.count_nonzero(e.detection < 0):
             chance = on_target(model, e.state, e.covariance)
@@ -393,7 +397,7 @@ class Labelled(Checked):
             (PRIOR, SHARE, SHOWN),
             (self.min_track_length, moment.number, state.used),
             (self.bridge_gaps, self.coast_by_evidence, moment.observed),
-            (state.table.last, since, older),
+            (state.table.last, since, kept_labels),
         )
         label, _, states, last, _ = state.table
         table = LabelTable(label, identity, states, last, confirmed)
@@ -407,21 +411,22 @@ class Labelled(Checked):
         return after, Tracks(frame, names, boxes, weight, detection, sure, one_class)
 
     def _remembered(
-        self, state: LabelledState, due: int, time: float, model: Model
+        self, state: LabelledState, due: int, open_labels: I8, model: Model
     ) -> tuple[History, float, I8]:
         """The settled frames without those that are forgotten, the time since when labels are
         remembered, and the labels that are in any case.
 
-        Rows that are still due, from place ``due`` on with ``time``, stay. A label of a frame that
-        may still be revised has a row.
+        Rows that are still due, from place ``due`` on, stay. A label of a frame that may still be
+        revised has a row: these are the ``open_labels``.
         """
         if self.history == 0:
             return state.history, -np.inf, _NO_LABELS
-        since = min(state.time - self.history * model.rate, time)
+        since = min(state.time - self.history * model.rate, state[due].time)
         settled = len(state.history)
-        moments = [*(state[k] for k in range(due, settled)), *state.recent]
-        older = np.concatenate([moment.estimates.tag for moment in moments])
-        return state.history.since(since), since, older
+        if due < settled:
+            waiting = [state[k].estimates.tag for k in range(due, settled)]
+            open_labels = np.concatenate([*waiting, open_labels])
+        return state.history.since(since), since, open_labels
 
 
 def _flat(moments: Sequence[Moment]) -> tuple[I8, I8, I8, F8]:
