@@ -11,7 +11,7 @@ import math
 import time as clock
 from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import reduce
 from typing import Any
 
@@ -31,12 +31,13 @@ from phdtrack.types import (
     Step,
     Tracks,
     UpdateInfo,
+    state_record,
 )
 
 NO_STATES: F8 = np.zeros((0, 0))
 
 
-@dataclass(frozen=True, slots=True)
+@state_record
 class TrackingState:
     """Everything that is carried from frame to frame.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +23,7 @@ from phdtrack.types import (
     MeasurementHistory,
     Tracks,
     row_of,
+    state_record,
 )
 
 NO_DESCRIPTORS: F4 = np.zeros((0, 0), np.float32)
@@ -46,7 +47,7 @@ MOST_UNOBSERVED = 300
 Path = list[tuple[int, int]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@state_record
 class Moment:
     """One frame.
 
@@ -114,7 +115,7 @@ class Moment:
         return np.asarray(order[np.append(rising[1:] > rising[:-1], True)])
 
 
-@dataclass(frozen=True, slots=True)
+@state_record
 class History:
     """All moments so far. Places count from the first frame; the first ``forgotten`` of them are no
     longer held.

@@ -62,6 +62,7 @@ from phdtrack.types import (
     MeasurementHistory,
     Return,
     Tracks,
+    state_record,
 )
 
 # Verdicts that ``max_coast`` counts for; the share of those found again from which a missing track
@@ -123,7 +124,7 @@ class LabelTable(NamedTuple):
         return LabelTable._make(column[index] for column in self)
 
 
-@dataclass(frozen=True, slots=True)
+@state_record
 class LabelledState:
     """The state that is carried from frame to frame.
 

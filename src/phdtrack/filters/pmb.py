@@ -130,7 +130,7 @@ from phdtrack.models.gaussian import (
 from phdtrack.models.pasts import carried as carried_pasts
 from phdtrack.models.volumes import LOCAL_FACTOR
 from phdtrack.protocols import Clutter, Filter, Model
-from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
+from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo, state_record
 
 # The probability that a target stands still when it is first detected, and the seconds for which,
 # on average, it then does.
@@ -161,7 +161,7 @@ def _squares(factors: tuple[float, ...]) -> F8:
     return np.square(factors)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@state_record
 class Bernoullis:
     """The state of a Poisson multi-Bernoulli filter.
 

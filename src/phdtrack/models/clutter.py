@@ -16,7 +16,7 @@ from phdtrack.models.volumes import (
     local_density,
 )
 from phdtrack.protocols import Clutter
-from phdtrack.types import F8
+from phdtrack.types import F8, state_record
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ class PlaneClutter:
         return self.clutter_per_detection / local_area(z)
 
 
-@dataclass(frozen=True, eq=False)
+@state_record
 class ScoredClutter:
     """κ(z) of the detections of one frame, and what the score s of each says.
 

@@ -41,7 +41,7 @@ from phdtrack.models import warp as warp_of
 from phdtrack.models.box import BoxMotion, BoxSensor
 from phdtrack.models.gaussian import carried, moved
 from phdtrack.protocols import CameraEstimator, Model
-from phdtrack.types import F8, STILL, Estimates
+from phdtrack.types import F8, STILL, Estimates, state_record
 
 # Seconds after which the camera's velocity counts for 37 %: it is in the targets' own by then.
 VELOCITY_MEMORY = 1.5
@@ -68,7 +68,7 @@ _ZOOM = 4.6
 NO_MOTION: F8 = np.zeros(4)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@state_record
 class CameraState:
     """The state of the camera's motion between frames.
 

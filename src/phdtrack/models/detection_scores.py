@@ -56,7 +56,7 @@ from phdtrack.kernels.detection_scores import (
 )
 from phdtrack.models.clutter import BoxClutter, ScoredClutter, UniformClutter
 from phdtrack.protocols import Learning, Model
-from phdtrack.types import F8, I8, Detections, Step
+from phdtrack.types import F8, I8, Detections, Step, state_record
 
 # Scores, and verdicts, that are remembered, the newest.
 KEPT = 3000
@@ -104,7 +104,7 @@ LEVEL_FRAMES = 500.0
 _NO_SCORES = np.zeros(0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@state_record
 class ScoresSeen:
     """The knowledge of scores so far.
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phdtrack.kernels.box import share_of, shown_between
-from phdtrack.types import F8, I8, Detections, Tracks
+from phdtrack.types import F8, I8, Detections, Tracks, state_record
 
 # The share before anything is seen, as if from so many sides of boxes; the most that it may be:
 # beyond 1 is the prediction.
@@ -32,7 +32,7 @@ KEPT = 3000.0
 _PRIOR = (PRIOR, PRIOR_WEIGHT, MOST)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@state_record
 class ShownFrame:
     """The rows of a frame that rest on detections: ``identity`` (n,), boxes ``seen`` and
     ``filtered`` (n, 4); seconds.
@@ -44,7 +44,7 @@ class ShownFrame:
     filtered: F8 = field(default_factory=lambda: np.zeros((0, 4)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@state_record
 class ShareState:
     """The statistics of the boxes shown so far.
 
