@@ -24,7 +24,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -44,9 +43,10 @@ from phdtrack.associate.history import (
 )
 from phdtrack.associate.reidentification import Names, Returns, reidentified
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
+from phdtrack.kernels import Records
 from phdtrack.kernels.appearance import Looks
 from phdtrack.kernels.coasting import STEPS, Followed
-from phdtrack.kernels.label_table import counted_frame, detected_rows, due_rows
+from phdtrack.kernels.label_table import LABEL, counted_frame, detected_rows, due_rows
 from phdtrack.models.box import BoxSensor
 from phdtrack.models.predicted_boxes import SHOWN, on_target
 from phdtrack.models.warp import warp_states
@@ -55,7 +55,6 @@ from phdtrack.types import (
     F8,
     I8,
     Appeared,
-    Bool,
     Detections,
     Estimates,
     Exchange,
@@ -79,51 +78,6 @@ _NO_LABELS: I8 = np.zeros(0, np.int64)
 NO_TRACKS = Followed(np.zeros(0, np.int64), _NONE, _NONE, _NO_BOX, _NO_BOX, np.zeros((2, STEPS)))
 
 
-class LabelTable(NamedTuple):
-    """The knowledge of each label (a,), ascending.
-
-    Attributes
-    ----------
-    label, identity : its number and its identity; 0 before its first row.
-    states, last : its states that rest on detections, and the model time of the last of them.
-    confirmed : whether it has been confirmed.
-    """
-
-    label: I8
-    identity: I8
-    states: I8
-    last: F8
-    confirmed: Bool
-
-    @classmethod
-    def of(cls, label: I8) -> LabelTable:
-        """New labels."""
-        none = np.zeros(len(label), np.int64)
-        return cls(label, none, none, np.full(len(label), -np.inf), none > 0)
-
-    def with_counts(self, states: I8, last: F8) -> LabelTable:
-        """The same labels with other states and last detections (a,)."""
-        return LabelTable(self.label, self.identity, states, last, self.confirmed)
-
-    def renamed(self, change: dict[int, int]) -> LabelTable:
-        """The table with these identities, by label, of those of the labels that have a row."""
-        label = np.array(sorted(change))
-        identity = np.array([change[each] for each in sorted(change)])
-        place = np.minimum(self.places(label), len(self.label) - 1)
-        there = self.label[place] == label
-        names = self.identity.copy()
-        names[place[there]] = identity[there]
-        return self._replace(identity=names)
-
-    def places(self, labels: I8) -> I8:
-        """(n,) the rows of the labels."""
-        return self.label.searchsorted(labels)
-
-    def select(self, index: I8 | Bool) -> LabelTable:
-        """The rows at ``index``."""
-        return LabelTable._make(column[index] for column in self)
-
-
 @state_record
 class LabelledState:
     """The state that is carried from frame to frame.
@@ -131,7 +85,7 @@ class LabelledState:
     Attributes
     ----------
     history, recent : frames that no revision reaches any more, and those that one may reach.
-    table : what is known of the labels in the first.
+    table : (a,) of `kernels.label_table.LABEL`, what is known of the labels in the first.
     time, used : model time; the highest identity of online rows.
     followed : the tracks that may be missing, and how missing ones came back; none unless
         ``coast_by_evidence``.
@@ -140,7 +94,7 @@ class LabelledState:
 
     history: History = field(default_factory=History)
     recent: tuple[Moment, ...] = ()
-    table: LabelTable = field(default_factory=lambda: LabelTable.of(np.zeros(0, np.int64)))
+    table: Records = field(default_factory=lambda: np.zeros(0, LABEL))
     time: float = 0.0
     used: int = 0
     followed: Followed = NO_TRACKS
@@ -236,7 +190,7 @@ class Labelled(Checked):
         if now.observed:
             settled = _revise(recent, estimates.past)
         else:
-            known = np.isin(now.estimates.tag, state.table.label)
+            known = np.isin(now.estimates.tag, state.table["label"])
             now = replace(now, estimates=now.estimates.select(known))
         recent.append(now)
         interval = dt if now.observed and self.coast_by_evidence else 0.0
@@ -249,8 +203,8 @@ class Labelled(Checked):
         if now.observed and model.appearance is not None:
             returns, change = self._returned(returns, estimates, now, present, model.appearance)
             if change:
-                table = table.renamed(change)
-                present = present.renamed(change)
+                table = _renamed(table, change)
+                present = _renamed(present, change)
         time = now.time if now.observed else state.time
         extended = LabelledState(
             history, tuple(recent[settled:]), table, time, state.used, followed, returns
@@ -258,18 +212,18 @@ class Labelled(Checked):
         due = len(extended) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
-        open_labels = flat[0][flat[2][settled] :]
+        open_labels = flat[0][sum(len(moment.estimates.tag) for moment in recent[:settled]) :]
         return self._emit(extended, due, present, open_labels, model)
 
     def _counted(
         self,
         state: LabelledState,
         moments: Sequence[Moment],
-        flat: tuple[I8, I8, I8, F8],
+        flat: tuple[I8, I8, F8],
         settled: int,
         dt: float,
         model: Model,
-    ) -> tuple[LabelTable, LabelTable, Followed]:
+    ) -> tuple[Records, Records, Followed]:
         """The table with the states of the first ``settled`` moments counted, and with those of
         all; and the tracks that may be missing after the newest one, with its verdicts. After an
         interval of 0 these are as they were.
@@ -283,8 +237,8 @@ class Labelled(Checked):
             x, y, w, h = to_cxcywh(before.xyxy)
             x, y, _, _, w, h = warp_states(np.stack([x, y, 0 * x, 0 * y, w, h]), model.warp)
             before = before._replace(xyxy=to_xyxy(np.stack([x, y, w, h])))
-        after, states, last, followed = counted_frame(
-            tuple(state.table),
+        table, present, followed = counted_frame(
+            state.table,
             flat,
             settled,
             tuple(before),
@@ -299,22 +253,22 @@ class Labelled(Checked):
             ),
             dt > 0,
         )
-        table = LabelTable(*after)
-        return table, table.with_counts(states, last), Followed(*followed)
+        return table, present, Followed(*followed)
 
     def _returned(
         self,
         returns: Returns,
         estimates: Estimates,
         now: Moment,
-        present: LabelTable,
+        present: Records,
         looks: Looks,
     ) -> tuple[Returns, dict[int, int]]:
         """`reidentified` with the newest frame."""
-        names = Names(present.label, present.identity)
+        label, identity = (present[name].copy() for name in ("label", "identity"))
+        names = Names(label, identity)
         here = now.estimates
         rows, sure = detected_rows(
-            tuple(present), here.tag, here.detection, now.row, self.min_track_length
+            present, here.tag, here.detection, now.row, self.min_track_length
         )
         return reidentified(returns, estimates, rows, now.number, looks, sure, names)
 
@@ -372,7 +326,7 @@ class Labelled(Checked):
         return replace(state, used=identity)
 
     def _emit(
-        self, state: LabelledState, due: int, present: LabelTable, open_labels: I8, model: Model
+        self, state: LabelledState, due: int, present: Records, open_labels: I8, model: Model
     ) -> tuple[LabelledState, Tracks]:
         """The state with the identities of the frame at place ``due`` and without what is
         forgotten, and the frame's rows as it is seen now. ``open_labels``: of the recent frames.
@@ -383,8 +337,8 @@ class Labelled(Checked):
         chance = _NONE
         if type(model.sensor) is not BoxSensor and np.count_nonzero(e.detection < 0):
             chance = on_target(model, e.state, e.covariance)
-        identity, confirmed, used, columns, kept = due_rows(
-            tuple(present),
+        table, used, columns = due_rows(
+            (state.table, present),
             (e.tag, e.detection, e.xyxy, e.weight),
             (e.state, e.covariance, chance),
             moment.row,
@@ -398,12 +352,8 @@ class Labelled(Checked):
             (PRIOR, SHARE, SHOWN),
             (self.min_track_length, moment.number, state.used),
             (self.bridge_gaps, self.coast_by_evidence, moment.observed),
-            (state.table.last, since, kept_labels),
+            (since, kept_labels),
         )
-        label, _, states, last, _ = state.table
-        table = LabelTable(label, identity, states, last, confirmed)
-        if np.count_nonzero(kept) < len(kept):
-            table = table.select(kept)
         after = LabelledState(
             history, state.recent, table, state.time, used, state.followed, state.returns
         )
@@ -430,17 +380,30 @@ class Labelled(Checked):
         return state.history.since(since), since, open_labels
 
 
-def _flat(moments: Sequence[Moment]) -> tuple[I8, I8, I8, F8]:
-    """The labels and measurements (n,) of the states of all moments, one moment after the other,
-    and where each begins and its time.
+def _flat(moments: Sequence[Moment]) -> tuple[I8, I8, F8]:
+    """The labels and measurements (n,) of the states of all m moments, one moment after the other;
+    and their times and then their numbers of states (2m,).
     """
     states = [moment.estimates for moment in moments]
+    tags = [each.tag for each in states]
+    numbers = [moment.time for moment in moments]
+    numbers += [len(tag) for tag in tags]
     return (
-        np.concatenate([each.tag for each in states]),
+        np.concatenate(tags),
         np.concatenate([each.detection for each in states]),
-        np.array([0, *itertools.accumulate([len(each.tag) for each in states])]),
-        np.array([moment.time for moment in moments]),
+        np.array(numbers, np.float64),
     )
+
+
+def _renamed(table: Records, change: dict[int, int]) -> Records:
+    """The table with these identities, by label, of those of the labels that have a record."""
+    label = np.array(sorted(change))
+    identity = np.array([change[each] for each in sorted(change)])
+    place = np.minimum(table["label"].searchsorted(label), len(table) - 1)
+    there = table["label"][place] == label
+    renamed = table.copy()
+    renamed["identity"][place[there]] = identity[there]
+    return renamed
 
 
 def _revise(recent: list[Moment], past: tuple[Estimates | None, ...]) -> int:

@@ -1,29 +1,49 @@
 """The table of labels of `associate.labels`, frame by frame: counts, what is shown, and the rows.
 
-A table is the columns of `associate.labels.LabelTable`, (a,) each, by label, ascending.
+A table (a,) of `LABEL` has a record for each label, ascending.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.kernels import F8, I8, Bool
+from phdtrack.kernels import F8, I8, Bool, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.coasting import Followed, Reported, after_frame, is_returning, on_box
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
+from phdtrack.kernels.gaussian import records
 from phdtrack.kernels.small_arrays import first_not_below
 
-Table = tuple[I8, I8, I8, F8, Bool]
+# A label: the model time of the last of its states that rest on detections, −∞ before the first;
+# its number; its identity, 0 before its first row; its states that rest on detections; and whether
+# it has been confirmed. As one array, because Python takes longer for each array than a kernel.
+LABEL = records("last", "label identity states confirmed")
+# The columns of `coasting.Followed`.
+Missing = tuple[I8, F8, F8, F8, F8, F8]
 
 
 @njit(**INNER)
-def _new_labels(label: I8, tag: I8) -> I8:
+def place_of(table: Records, label: int) -> int:
+    """The first place in a table whose label is not below this one, or its length."""
+    low = 0 * table.size
+    high = table.size
+    while low < high:
+        middle = (low + high) // 2
+        if table[middle].label < label:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(**INNER)
+def _new_labels(table: Records, tag: I8) -> I8:
     """The tags that are no label yet, each once, ascending."""
     new = np.empty(tag.size, np.int64)
     count = 0 * tag.size
     for k in range(tag.size):
-        place = first_not_below(label, tag[k])
-        if place < label.size and label[place] == tag[k]:
+        place = place_of(table, tag[k])
+        if place < table.size and table[place].label == tag[k]:
             continue
         at = first_not_below(new[:count], tag[k])
         if at < count and new[at] == tag[k]:
@@ -36,106 +56,93 @@ def _new_labels(label: I8, tag: I8) -> I8:
 
 
 @njit(**INNER)
-def _with_labels(table: Table, new: I8) -> Table:
-    """The table with rows for new labels, ascending."""
-    label, identity, states, last, confirmed = table
-    n = label.size + new.size
-    out = (
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n),
-        np.empty(n, np.bool_),
-    )
+def _with_labels(table: Records, new: I8) -> Records:
+    """The table with records for new labels, ascending."""
+    n = table.size + new.size
+    out = np.empty(n, LABEL)
     i = j = 0 * n
     for k in range(n):
-        if j == new.size or (i < label.size and label[i] < new[j]):
-            out[0][k] = label[i]
-            out[1][k] = identity[i]
-            out[2][k] = states[i]
-            out[3][k] = last[i]
-            out[4][k] = confirmed[i]
+        if j == new.size or (i < table.size and table[i].label < new[j]):
+            out[k] = table[i]
             i += 1
         else:
-            out[0][k] = new[j]
-            out[1][k] = 0
-            out[2][k] = 0
-            out[3][k] = -np.inf
-            out[4][k] = False
+            record = out[k]
+            record.last = -np.inf
+            record.label = new[j]
+            record.identity = 0
+            record.states = 0
+            record.confirmed = 0
             j += 1
     return out
 
 
-@njit(**MERGED)
-def counted(
-    table: Table, tag: I8, detection: I8, start: I8, time: F8, settled: int
-) -> tuple[Table, I8, F8]:
-    """The table after some moments, of which the first ``settled`` are never revised again; and the
-    states and the last detection of each label with the others counted, too.
+@njit(**INNER)
+def _count(table: Records, tag: I8, detection: I8, time: float, begin: int, end: int) -> None:
+    """Count the states ``begin`` … ``end`` − 1, of one moment, that rest on detections."""
+    for k in range(begin, end):
+        if detection[k] >= 0:
+            record = table[place_of(table, tag[k])]
+            record.states += 1
+            record.last = time
 
-    ``tag``, ``detection`` (n,): of the states of all moments, one moment after the other; moment m
-    begins at ``start[m]`` and has model time ``time[m]``. A label that has no row gets one.
+
+@njit(**INNER)
+def counted(table: Records, moments: tuple[I8, I8, F8], settled: int) -> tuple[Records, Records]:
+    """The table after some moments, of which the first ``settled`` are never revised again; and the
+    same with the others counted, too.
+
+    ``moments``: labels and measurements (n,) of the states of all, one moment after the other; the
+    model times of the m moments, and then how many states each has (2m,). A label that has no
+    record gets one.
     """
-    new = _new_labels(table[0], tag)
-    if new.size > 0:
-        table = _with_labels(table, new)
-    label, identity, states, last, confirmed = table
-    states = states.copy()
-    last = last.copy()
+    tag, detection, numbers = moments
+    after = _with_labels(table, _new_labels(table, tag))
     # Moments are in order of time: of several states with a label the last one's stays.
+    many = numbers.size // 2
+    begin = 0 * many
     for m in range(settled):
-        _count(label, tag, detection, start, time, m, states, last)
-    all_states = states.copy()
-    all_last = last.copy()
-    for m in range(settled, time.size):
-        _count(label, tag, detection, start, time, m, all_states, all_last)
-    return (label, identity, states, last, confirmed), all_states, all_last
+        end = begin + int(numbers[many + m])
+        _count(after, tag, detection, numbers[m], begin, end)
+        begin = end
+    present = after.copy()
+    for m in range(settled, many):
+        end = begin + int(numbers[many + m])
+        _count(present, tag, detection, numbers[m], begin, end)
+        begin = end
+    return after, present
 
 
 @njit(**ENTRY)
 def counted_frame(
-    table: Table,
-    moments: tuple[I8, I8, I8, F8],
+    table: Records,
+    moments: tuple[I8, I8, F8],
     settled: int,
-    before: tuple[I8, F8, F8, F8, F8, F8],
+    before: Missing,
     xyxy: F8,
     least: int,
     times: tuple[float, float, float, float, float],
     follows: bool,
-) -> tuple[Table, I8, F8, tuple[I8, F8, F8, F8, F8, F8]]:
+) -> tuple[Records, Records, Missing]:
     """The results of `counted`, and of `followed_after` for the newest moment, in one call.
 
-    ``moments``: labels, measurements, starts and times of `counted`. ``before``: the columns of
-    `coasting.Followed`, which stay the same unless the newest moment ``follows``; ``xyxy`` (n, 4):
-    of its states. ``least``, ``times``: see `followed_after`.
+    ``before``: the columns of `coasting.Followed`, which stay the same unless the newest moment
+    ``follows``; ``xyxy`` (n, 4): of its states. ``moments``, ``least``, ``times``: see `counted`
+    and `followed_after`.
     """
-    tag, detection, start, time = moments
-    after, states, last = counted(table, tag, detection, start, time, settled)
+    after, present = counted(table, moments, settled)
     if follows:
-        present = (after[0], after[1], states, last, after[4])
+        tag = moments[0]
         now = followed_after(
-            Followed(*before), present, tag[start[time.size - 1] :], xyxy, least, times
+            Followed(*before), present, tag[tag.size - len(xyxy) :], xyxy, least, times
         )
         before = (now.label, now.last, now.age, now.xyxy, now.speed, now.verdicts)
-    return after, states, last, before
-
-
-@njit(**INNER)
-def _count(
-    label: I8, tag: I8, detection: I8, start: I8, time: F8, m: int, states: I8, last: F8
-) -> None:
-    """Count the states of moment m that rest on detections."""
-    for k in range(start[m], start[m + 1]):
-        if detection[k] >= 0:
-            place = first_not_below(label, tag[k])
-            states[place] += 1
-            last[place] = time[m]
+    return after, present, before
 
 
 @njit(**MERGED)
 def followed_after(
     before: Followed,
-    present: Table,
+    present: Records,
     tag: I8,
     xyxy: F8,
     least: int,
@@ -147,16 +154,15 @@ def followed_after(
     states. ``least``: states from which a label is confirmed. ``times``: the time units in a
     second; the time, the interval, the patience and the share kept of `coasting.after_frame`.
     """
-    label, _, states, last, confirmed = present
     rate, now, interval, patience, kept = times
     n = tag.size
     order = np.empty(n, np.int64)
     when = np.empty(n)
     sure = np.empty(n, np.bool_)
     for k in range(n):
-        place = first_not_below(label, tag[k])
-        when[k] = last[place] / rate
-        sure[k] = confirmed[place] or states[place] >= least
+        known = present[place_of(present, tag[k])]
+        when[k] = known.last / rate
+        sure[k] = known.confirmed > 0 or known.states >= least
         # Mostly in order already.
         q = k
         while q > 0 and tag[order[q - 1]] > tag[k]:
@@ -170,7 +176,7 @@ def followed_after(
 
 @njit(**MERGED)
 def coasting_rows(
-    present: Table,
+    present: Records,
     tag: I8,
     detection: I8,
     verdicts: F8,
@@ -192,21 +198,20 @@ def coasting_rows(
     flags : whether verdicts decide; whether a detector ran in the frame, without which only labels
         with an identity are shown.
     """
-    label, identity, states, last, confirmed = present
     here, newest, longest, rate = rule
     by_evidence, observed = flags
     shown = np.empty(tag.size, np.bool_)
     unseen = np.empty(tag.size, np.int64)
     count = 0 * tag.size
     for k in range(tag.size):
-        place = first_not_below(label, tag[k])
-        coasts = here - last[place] <= longest
+        known = present[place_of(present, tag[k])]
+        coasts = here - known.last <= longest
         if by_evidence:
-            age = (newest - last[place]) / rate
-            coasts = is_returning(verdicts, age, coasts, *odds) or last[place] >= here
-        coasts = coasts and (confirmed[place] or states[place] >= least)
+            age = (newest - known.last) / rate
+            coasts = is_returning(verdicts, age, coasts, *odds) or known.last >= here
+        coasts = coasts and (known.confirmed > 0 or known.states >= least)
         if not observed:
-            coasts = coasts and identity[place] > 0
+            coasts = coasts and known.identity > 0
         shown[k] = coasts
         if coasts and detection[k] < 0:
             unseen[count] = k
@@ -216,42 +221,45 @@ def coasting_rows(
 
 @njit(**MERGED)
 def shown_rows(
-    present: Table,
+    table: Records,
+    present: Records,
     states: tuple[I8, I8, F8, F8],
     row: I8,
     coasts: Bool,
     least: int,
     number: int,
     used: int,
-) -> tuple[I8, Bool, int, tuple[I8, I8, F8, F8, I8, Bool]]:
-    """Identities (a,) and confirmed labels (a,) after a frame, the highest identity, and the
+) -> tuple[Records, int, tuple[I8, I8, F8, F8, I8, Bool]]:
+    """The table with identities and confirmed labels after a frame, the highest identity, and the
     columns of the frame's rows, by identity.
 
     Parameters
     ----------
-    present : what is known of the labels.
+    table, present : what is settled of the labels, and what is known of them.
     states : labels, measurements, boxes and weights of the frame's states.
     row : (N,) `Detections.row` of each measurement.
     coasts : (n,) whether each is shown without a detection.
     least, number : states from which a label is confirmed; the frame's number.
     used : the highest identity so far; new labels get the next ones.
     """
-    label, identity, counts, _, confirmed = present
     tag, detection, xyxy, weight = states
-    identity = identity.copy()
-    sure = confirmed.copy()
+    after = table.copy()
+    for place in range(after.size):
+        after[place].identity = present[place].identity
     order = np.empty(tag.size, np.int64)
     n = 0 * tag.size
     for k in range(tag.size):
         if not (detection[k] >= 0 or coasts[k]):
             continue
-        place = first_not_below(label, tag[k])
-        if identity[place] == 0:
+        place = place_of(after, tag[k])
+        known = after[place]
+        if known.identity == 0:
             used += 1
-            identity[place] = used
-        sure[place] = confirmed[place] or counts[place] >= least
+            known.identity = used
+        if present[place].states >= least:
+            known.confirmed = 1
         q = n
-        while q > 0 and identity[first_not_below(label, tag[order[q - 1]])] > identity[place]:
+        while q > 0 and after[place_of(after, tag[order[q - 1]])].identity > known.identity:
             order[q] = order[q - 1]
             q -= 1
         order[q] = k
@@ -266,50 +274,59 @@ def shown_rows(
     )
     for r in range(n):
         k = order[r]
-        place = first_not_below(label, tag[k])
+        known = after[place_of(after, tag[k])]
         out[0][r] = number
-        out[1][r] = identity[place]
+        out[1][r] = known.identity
         for c in range(4):
             out[2][r, c] = xyxy[k, c]
         out[3][r] = weight[k] if weight[k] < 1.0 else 1.0
         out[4][r] = row[detection[k]] if detection[k] >= 0 else -1
-        out[5][r] = sure[place]
-    return identity, sure, used, out
+        out[5][r] = known.confirmed > 0
+    return after, used, out
 
 
 @njit(**ENTRY)
-def detected_rows(present: Table, tag: I8, detection: I8, row: I8, least: int) -> tuple[I8, Bool]:
+def detected_rows(present: Records, tag: I8, detection: I8, row: I8, least: int) -> tuple[I8, Bool]:
     """(n,) `Detections.row` of each of a frame's states, −1 without a detection; and whether its
     label has been confirmed.
 
     ``present``, ``tag``, ``detection``, ``row``, ``least``: as of `shown_rows` and its ``states``.
     """
-    label, _, counts, _, confirmed = present
     out = np.empty(tag.size, np.int64)
     sure = np.empty(tag.size, np.bool_)
     for k in range(tag.size):
-        place = first_not_below(label, tag[k])
+        known = present[place_of(present, tag[k])]
         out[k] = row[detection[k]] if detection[k] >= 0 else -1
-        sure[k] = confirmed[place] or counts[place] >= least
+        sure[k] = known.confirmed > 0 or known.states >= least
     return out, sure
 
 
-@njit(**MERGED)
-def kept_labels(label: I8, last: F8, since: float, tag: I8) -> Bool:
-    """(a,) whether each label was last detected ``since`` then, or is among the tags."""
-    kept = np.empty(label.size, np.bool_)
-    for place in range(label.size):
-        kept[place] = last[place] >= since
-    for k in range(tag.size):
-        place = first_not_below(label, tag[k])
-        if place < label.size and label[place] == tag[k]:
+@njit(**INNER)
+def remembered(table: Records, since: float, tag: I8) -> Records:
+    """The table without the labels that were not detected ``since`` then and are none of the
+    tags.
+    """
+    kept = np.empty(table.size, np.bool_)
+    count = 0 * table.size
+    for place in range(table.size):
+        kept[place] = table[place].last >= since
+        count += kept[place]
+    for k in range(tag.size if count < table.size else 0):
+        place = place_of(table, tag[k])
+        if place < table.size and table[place].label == tag[k]:
             kept[place] = True
-    return kept
+    out = np.empty(table.size, LABEL)
+    count = 0 * table.size
+    for place in range(table.size):
+        if kept[place]:
+            out[count] = table[place]
+            count += 1
+    return out[:count]
 
 
 @njit(**ENTRY)
 def due_rows(
-    present: Table,
+    tables: tuple[Records, Records],
     states: tuple[I8, I8, F8, F8],
     boxes: tuple[F8, F8, F8],
     row: I8,
@@ -318,14 +335,15 @@ def due_rows(
     odds: tuple[float, float, float],
     numbers: tuple[int, int, int],
     flags: tuple[bool, bool, bool],
-    kept: tuple[F8, float, I8],
-) -> tuple[I8, Bool, int, tuple[I8, I8, F8, F8, I8, Bool], Bool]:
+    open_labels: tuple[float, I8],
+) -> tuple[Records, int, tuple[I8, I8, F8, F8, I8, Bool]]:
     """The rows of a frame that are due, in one call: `coasting_rows`, what it shows of boxes that
-    are only predicted, `shown_rows` and `kept_labels`.
+    are only predicted, `shown_rows` and `remembered`.
 
     Parameters
     ----------
-    present, states, row : see `shown_rows`.
+    tables : what is settled of the labels, and what is known of them.
+    states, row : see `shown_rows`.
     boxes : states (d, n) and covariances (n, d, d), and (n,) the probability that each box lies on
         its target; (0,) for boxes in the image, of which it is computed.
     verdicts, rule : see `coasting_rows`.
@@ -333,13 +351,13 @@ def due_rows(
         shown.
     numbers : states from which a label is confirmed; the frame's number; the highest identity.
     flags : whether states without a detection may be shown at all; those of `coasting_rows`.
-    kept : the last detections (a,) that are settled, since when, and labels that are kept anyway.
+    open_labels : see `remembered`.
     """
+    table, present = tables
     tag, detection, _, weight = states
     state, covariance, chance = boxes
     least, number, used = numbers
     bridges, by_evidence, observed = flags
-    last, since, open_tags = kept
     coasts = np.empty(tag.size, np.bool_)
     for k in range(tag.size):
         coasts[k] = False
@@ -358,13 +376,5 @@ def due_rows(
             for k in unseen:
                 lies = chance[k] if chance.size > 0 else on_box(state, covariance, k)
                 coasts[k] = weight[k] * lies > odds[2]
-    identity, confirmed, used, columns = shown_rows(
-        present, states, row, coasts, least, number, used
-    )
-    return (
-        identity,
-        confirmed,
-        used,
-        columns,
-        kept_labels(present[0], last, since, open_tags),
-    )
+    after, used, columns = shown_rows(table, present, states, row, coasts, least, number, used)
+    return remembered(after, open_labels[0], open_labels[1]), used, columns
