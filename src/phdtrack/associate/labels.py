@@ -162,7 +162,9 @@ class Labelled(Checked):
 
         The past of the estimates counts, too. Raises `InputError` if states have no label.
         """
-        gap = unobserved_at_end(state.recent)
+        gap = list[Moment]()
+        if state.recent and not state.recent[-1].observed:
+            gap = unobserved_at_end(state.recent)
         if len(gap) >= MOST_UNOBSERVED and not detections.observed:
             return state, Tracks.empty()
         observed = state.recent[: len(state.recent) - len(gap)]
@@ -331,9 +333,12 @@ class Labelled(Checked):
         """The state with the identities of the frame at place ``due`` and without what is
         forgotten, and the frame's rows as it is seen now. ``open_labels``: of the recent frames.
         """
-        moment = state[due]
+        newest = state.recent[-1]
+        moment = newest if due == len(state) - 1 else state[due]
         e = moment.estimates
-        history, since, kept_labels = self._remembered(state, due, open_labels, model)
+        here = moment.time if moment.observed else state.seen_until(due)
+        until = newest.time if newest.observed else state.seen_until(len(state) - 1)
+        history, since, kept_labels = self._remembered(state, (due, moment), open_labels, model)
         chance = _NONE
         if type(model.sensor) is not BoxSensor and np.count_nonzero(e.detection < 0):
             chance = on_target(model, e.state, e.covariance)
@@ -344,8 +349,8 @@ class Labelled(Checked):
             moment.row,
             state.followed.verdicts,
             (
-                state.seen_until(due),
-                state.seen_until(len(state) - 1),
+                here,
+                until,
                 self.max_coast * model.rate + 1e-9,
                 model.rate,
             ),
@@ -362,20 +367,21 @@ class Labelled(Checked):
         return after, Tracks(frame, names, boxes, weight, detection, sure, one_class)
 
     def _remembered(
-        self, state: LabelledState, due: int, open_labels: I8, model: Model
+        self, state: LabelledState, due: tuple[int, Moment], open_labels: I8, model: Model
     ) -> tuple[History, float, I8]:
         """The settled frames without those that are forgotten, the time since when labels are
         remembered, and the labels that are in any case.
 
-        Rows that are still due, from place ``due`` on, stay. A label of a frame that may still be
-        revised has a row: these are the ``open_labels``.
+        Rows that are still due, from the place and the frame ``due`` on, stay. A label of a frame
+        that may still be revised has a record: these are the ``open_labels``.
         """
         if self.history == 0:
             return state.history, -np.inf, _NO_LABELS
-        since = min(state.time - self.history * model.rate, state[due].time)
+        place, moment = due
+        since = min(state.time - self.history * model.rate, moment.time)
         settled = len(state.history)
-        if due < settled:
-            waiting = [state[k].estimates.tag for k in range(due, settled)]
+        if place < settled:
+            waiting = [state[k].estimates.tag for k in range(place, settled)]
             open_labels = np.concatenate([*waiting, open_labels])
         return state.history.since(since), since, open_labels
 

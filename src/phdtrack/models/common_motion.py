@@ -140,7 +140,7 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         fading = math.exp(-dt / (model.rate * VELOCITY_MEMORY))
         frame = _frame_of(self.frame_size)
         bases = [STILL]
-        if np.count_nonzero(state.velocity):
+        if state.velocity is not NO_MOTION and np.count_nonzero(state.velocity):
             bases = [similarity(_of_note(fading * dt * state.velocity, frame), frame)]
         if len(given):
             left = similarity(_of_note(-fading * dt * state.left, frame), frame)
@@ -149,9 +149,14 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             warp = bases[-1 if state.followed else 0]
             velocity, left = self._moved((state.left, state.followed), warp, given, dt, fading)
             return replace(state, velocity=velocity, left=left), warp
-        alternatives = [
-            self._alternative(state, z, model, base, dt, which) for which, base in enumerate(bases)
-        ]
+        excess = state.excess.copy()
+        weight = state.weight.copy()
+        alternatives = list[_Alternative]()
+        for which, base in enumerate(bases):
+            one = self._alternative(state, z, model, base, dt, which)
+            excess[which] = one.excess
+            weight[which] = one.weight
+            alternatives.append(one)
         evidence = state.evidence
         followed = state.followed
         if len(alternatives) == 2:
@@ -159,11 +164,6 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             evidence = math.exp(-1 / _EVIDENCE_FRAMES) * evidence + more
             followed = evidence > (-SWITCH_EVIDENCE if followed else SWITCH_EVIDENCE)
         chosen = alternatives[-1 if followed else 0]
-        excess = state.excess.copy()
-        weight = state.weight.copy()
-        for which, one in enumerate(alternatives):
-            excess[which] = one.excess
-            weight[which] = one.weight
         velocity, left = self._moved((state.left, followed), chosen.warp, given, dt, fading)
         after = CameraState(
             state.mean,

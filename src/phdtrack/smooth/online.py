@@ -86,7 +86,9 @@ class DetectionShare:
     ) -> tuple[ShareState, Tracks]:
         """The state and the rows with the boxes that are shown."""
         # Without tracks no row tells which frames are done; those that are forgotten are.
-        waiting = tuple(frame for frame in state.waiting if frame[0] >= oldest)
+        waiting = state.waiting
+        if waiting and waiting[0][0] < oldest:
+            waiting = tuple(frame for frame in waiting if frame[0] >= oldest)
         if len(detections):
             waiting = (*waiting, (number, time, detections.row, detections.xyxy))
         return self.shown(ShareState(waiting, state.last, state.sums), tracks)
@@ -102,9 +104,11 @@ class DetectionShare:
         xyxy = tracks.xyxy.copy()
         until = int(tracks.frame[-1])
         rows = (tracks.frame, tracks.identity, tracks.detection, xyxy)
+        done = 0
         for number, time, row, boxes in state.waiting:
             if number > until:
-                continue
+                break
+            done += 1
             first, second = last
             ratio = 0.0
             if len(first.identity):
@@ -121,5 +125,4 @@ class DetectionShare:
             )
             if len(shown[0]):
                 last = (second, ShownFrame(time, *shown))
-        waiting = tuple(frame for frame in state.waiting if frame[0] > until)
-        return ShareState(waiting, last, sums), tracks.with_boxes(xyxy)
+        return ShareState(state.waiting[done:], last, sums), tracks.with_boxes(xyxy)
