@@ -146,6 +146,7 @@ LEAST_DETECTION = 0.2
 MOST_DETECTION = 0.97
 # Frames after which what a score has said of lasting clutter counts for 37 %.
 SCORE_MEMORY = 15.0
+SCORE_KEPT = math.exp(-1 / SCORE_MEMORY)
 # The share of false alarms that are new in each frame, if no stream has shown it.
 ANEW = 0.2
 NO_NUMBERS: F8 = np.zeros(0)
@@ -153,6 +154,18 @@ NOBODY: I8 = np.zeros((0, 2), np.int64)
 # No targets seen for the first time that are given, and no density of boxes that is local.
 NOBODY_NEW = (np.zeros(0), np.zeros((0, 6)), np.zeros((0, 6, 6)))
 NOWHERE = (0.0, 0.0, 0.0, 0.0)
+
+
+@lru_cache(maxsize=64)
+def _changes(visible: float, occluded: float, seconds: float) -> tuple[float, float]:
+    """Probabilities to be occluded ``seconds`` after being visible, and visible after being
+    occluded, if targets are visible and occluded for so many seconds on average; 0: for ever.
+    """
+    if visible == 0:
+        return 0.0, 1.0
+    rate = 1 / visible + 1 / occluded
+    changed = -math.expm1(-rate * seconds) / rate
+    return changed / visible, changed / occluded
 
 
 @lru_cache(maxsize=8)
@@ -394,7 +407,7 @@ class PMB(Checked, Filter[Bernoullis]):
             *self._changes(seconds),
             -seconds / MEAN_STANDING_TIME,
             (self.noise_freedom, math.exp(-1 / self.noise_memory)),
-            (self._prior, math.exp(-1 / SCORE_MEMORY)),
+            (self._prior, SCORE_KEPT),
         )
 
     def _seen(self, model: Model, z: F8, dt: float) -> tuple[F8, Scores, Measurements, float]:
@@ -420,11 +433,7 @@ class PMB(Checked, Filter[Bernoullis]):
         """Probabilities to be occluded ``seconds`` after being visible, and visible after being
         occluded.
         """
-        if self.mean_visible_time == 0:
-            return 0.0, 1.0
-        rate = 1 / self.mean_visible_time + 1 / self.mean_occluded_time
-        changed = -math.expm1(-rate * seconds) / rate
-        return changed / self.mean_visible_time, changed / self.mean_occluded_time
+        return _changes(self.mean_visible_time, self.mean_occluded_time, seconds)
 
     def update(
         self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator

@@ -67,12 +67,34 @@ TINY = 1e-12
 _NO_NOISE = np.zeros((0, 4, 4))
 
 
+# The records for kernels are cached, because a step of ten targets takes hardly longer than making
+# them.
 @lru_cache(maxsize=8)
 def _box_noise(scaling: Scaling, share: float, floor: float, fixed: tuple[float, float]) -> Noise:
-    """`BoxNoise` for the kernels; cached, because a step of ten targets takes hardly longer than
-    making it.
-    """
+    """`BoxNoise` for the kernels."""
     return _SCALINGS[scaling], share, floor, fixed[0] ** 2, fixed[1] ** 2
+
+
+# Intervals that differ in their last digits only, as those of a steady stream, are a few.
+@lru_cache(maxsize=64)
+def _box_dynamics(
+    dt: float, seconds: float, noises: tuple[float, float, float, bool, float, float, float]
+) -> BoxDynamics:
+    """`BoxMotion.dynamics`; ``noises``: its other numbers."""
+    acceleration, size_noise, min_size, scaled, survival, width, height = noises
+    a2 = acceleration**2
+    return BoxDynamics(
+        dt,
+        a2 * (dt**3 / 3 - min(dt, dt**3) / 12),
+        a2 * dt**2 / 2,
+        a2 * dt,
+        size_noise**2 * dt,
+        min_size,
+        scaled,
+        survival**seconds,
+        width,
+        height,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,18 +370,17 @@ class BoxMotion(Checked):
         ----------
         dt, seconds : the interval, in the model's time unit and in seconds.
         """
-        dt = float(dt)
-        a2 = self.acceleration**2
-        return BoxDynamics(
-            dt,
-            a2 * (dt**3 / 3 - min(dt, dt**3) / 12),
-            a2 * dt**2 / 2,
-            a2 * dt,
-            self.size_noise**2 * dt,
-            self.min_size,
-            self.scaled_noise,
-            self.survival_probability**seconds,
-            *self.frame_size,
+        return _box_dynamics(
+            float(dt),
+            seconds,
+            (
+                self.acceleration,
+                self.size_noise,
+                self.min_size,
+                self.scaled_noise,
+                self.survival_probability,
+                *self.frame_size,
+            ),
         )
 
     warp_states = staticmethod(warp.warp_states)
