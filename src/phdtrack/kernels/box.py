@@ -488,7 +488,7 @@ def _speed_deviation(noise: BoxNoise, speed: float, w: float, h: float) -> float
     return max(LEAST_SPEED, speed)
 
 
-@njit(**MERGED)
+@njit(**ENTRY)
 def box_covariances(size: F8, noise: Noise) -> F8:
     """(L, 4, 4) noise covariances of (px, py, w, h) of measured boxes whose noise scales with sizes
     (2, L).
@@ -507,7 +507,7 @@ def box_covariances(size: F8, noise: Noise) -> F8:
     return out
 
 
-@njit(**MERGED)
+@njit(**ENTRY)
 def states_of_boxes(z: F8, noise: Noise, speed: float) -> tuple[F8, F8]:
     """States at rest (6, N) that boxes ``z`` (m, N) alone imply, and their covariances (N, 6, 6).
 
@@ -551,7 +551,7 @@ def local_densities(z: F8, rate: float, factor: float) -> F8:
     return out
 
 
-@njit(**MERGED)
+@njit(**ENTRY)
 def box_deviations(x: F8, noise: Noise, speed: float) -> F8:
     """(d, n) deviations by which the sensor resolves boxes ``x`` (d, n): of a measured box, and
     ``speed`` as in `states_of_boxes`.

@@ -36,7 +36,7 @@ def place_of(table: Records, label: int) -> int:
     return low
 
 
-@njit(**INNER)
+@njit(**MERGED)
 def _new_labels(table: Records, tag: I8) -> I8:
     """The tags that are no label yet, each once, ascending."""
     new = np.empty(tag.size, np.int64)
@@ -55,7 +55,7 @@ def _new_labels(table: Records, tag: I8) -> I8:
     return new[:count]
 
 
-@njit(**INNER)
+@njit(**MERGED)
 def _with_labels(table: Records, new: I8) -> Records:
     """The table with records for new labels, ascending."""
     n = table.size + new.size
@@ -86,7 +86,7 @@ def _count(table: Records, tag: I8, detection: I8, time: float, begin: int, end:
             record.last = time
 
 
-@njit(**INNER)
+@njit(**MERGED)
 def counted(table: Records, moments: tuple[I8, I8, F8], settled: int) -> tuple[Records, Records]:
     """The table after some moments, of which the first ``settled`` are never revised again; and the
     same with the others counted, too.
@@ -301,7 +301,7 @@ def detected_rows(present: Records, tag: I8, detection: I8, row: I8, least: int)
     return out, sure
 
 
-@njit(**INNER)
+@njit(**MERGED)
 def remembered(table: Records, since: float, tag: I8) -> Records:
     """The table without the labels that were not detected ``since`` then and are none of the
     tags.

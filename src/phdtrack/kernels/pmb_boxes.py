@@ -21,7 +21,7 @@ from phdtrack.kernels.box import (
     states_of_boxes,
 )
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
 from phdtrack.kernels.gaussian import FOUR_LENGTHS, Expected, Measurements, NewTargets
 from phdtrack.kernels.jumps import Jumps
 from phdtrack.kernels.pmb import Layer, Scores, Settings, predicted_layer, updated_layer
@@ -100,7 +100,7 @@ def _local(z: F8, local: tuple[float, float, float, float]) -> F8:
     return out
 
 
-@njit(**INNER)
+@njit(**MERGED)
 def _measurements(seen: Seen) -> Measurements:
     """The measurements with κ(z)."""
     n = seen.z.shape[1]
@@ -112,7 +112,7 @@ def _measurements(seen: Seen) -> Measurements:
     return Measurements(z, seen.noise, clutter, FOUR_LENGTHS)
 
 
-@njit(**INNER)
+@njit(**MERGED)
 def _first_seen(z: F8, first: FirstSeen, noise: Noise, speed: float, p_detect: float) -> NewTargets:
     """The targets whose first detections are the boxes ``z`` (m, N) [PMB (5)]."""
     density, mean, covariance = first.given

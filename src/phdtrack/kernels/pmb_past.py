@@ -175,16 +175,11 @@ def _boxes_of(trace: Records, target: I8, mean: F8) -> tuple[F8, I8]:
     return boxes, order
 
 
-@njit(**MERGED)
-def reported_boxes(
+@njit(**INNER)
+def _reported(
     layer: tuple[Records, Records, F8, F8], trace: Records, min_weight: float, overlap: float
 ) -> Columns:
-    """The boxes that are reported of a frame, in one call: means, covariances, presences, boxes (n,
-    4), measurements and labels, as of `of_targets`.
-
-    Targets of less presence than ``min_weight`` are left out, and those that overlap one before
-    them by more than ``overlap`` (IoU); 1: none is.
-    """
+    """The result of `reported_boxes`, for kernels, which share it."""
     target = present_targets(trace, min_weight)
     boxes, order = _boxes_of(trace, target, layer[2])
     if overlap < 1.0 and target.size > 1:
@@ -199,6 +194,20 @@ def reported_boxes(
             boxes = boxes[:n]
     mean, covariance, weight, detection, label = of_targets(layer, trace, target)
     return mean, covariance, weight, boxes.copy(), detection, label
+
+
+@njit(**ENTRY)
+def reported_boxes(
+    layer: tuple[Records, Records, F8, F8], trace: Records, min_weight: float, overlap: float
+) -> Columns:
+    """The boxes that are reported of a frame, in one call: means, covariances, presences, boxes (n,
+    4), measurements and labels, as of `of_targets`.
+
+    Targets of less presence than ``min_weight`` are left out, and those that overlap one before
+    them by more than ``overlap`` (IoU); 1: none is.
+    """
+    columns: Columns = _reported(layer, trace, min_weight, overlap)
+    return columns
 
 
 @njit(**ENTRY)
@@ -217,22 +226,12 @@ def reported_frames(
         (newest[0], newest[1]), (then[0], then[1]), past, min_weight
     )
     shown = now[:0] if same else now
-    # Both through one call: what is merged is compiled for each place.
     return (
         _reported(newest, present, min_weight, overlap),
         _reported(then, shown, min_weight, overlap),
         (now, before),
         same,
     )
-
-
-@njit(**INNER)
-def _reported(
-    layer: tuple[Records, Records, F8, F8], trace: Records, min_weight: float, overlap: float
-) -> Columns:
-    """The columns of `reported_boxes`."""
-    columns: Columns = reported_boxes(layer, trace, min_weight, overlap)
-    return columns
 
 
 @njit(**MERGED)

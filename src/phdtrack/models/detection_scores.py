@@ -52,7 +52,6 @@ from phdtrack.kernels.detection_scores import (
     evidence_of,
     learned_frame,
     levelled,
-    scaled,
 )
 from phdtrack.models.clutter import BoxClutter, ScoredClutter, UniformClutter
 from phdtrack.protocols import Learning, Model
@@ -102,6 +101,7 @@ LEAST = 0.001
 GOOD = math.log(4)
 LEVEL_FRAMES = 500.0
 _NO_SCORES = np.zeros(0)
+_SCALES = (LARGEST_LOGIT, EVEN_LOGIT, BOUND, LEAST)
 
 
 @state_record
@@ -301,7 +301,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
 @lru_cache(maxsize=8)
 def _kind_of(low: float, high: float) -> int:
     """The scale of scores between these two."""
-    return int(scaled(_NO_SCORES, low, high, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST)[2])
+    return int(levelled(_NO_SCORES, (low, high), -math.inf, _SCALES, (GOOD, LEVEL_FRAMES))[2])
 
 
 @lru_cache(maxsize=8)
@@ -339,7 +339,7 @@ def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8,
         np.ascontiguousarray(score),
         state.extent,
         state.level,
-        (LARGEST_LOGIT, EVEN_LOGIT, BOUND, LEAST),
+        _SCALES,
         (GOOD, LEVEL_FRAMES),
     )
     if kind != RANK:
