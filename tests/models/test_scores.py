@@ -35,9 +35,10 @@ from phdtrack.models.detection_scores import (
     ScoresSeen,
 )
 from phdtrack.protocols import Model
-from phdtrack.types import Detections, SequenceInfo
+from phdtrack.types import Detections, Estimates, SequenceInfo
 
 RULE = DetectionScores()
+NOBODY = Estimates.empty(6)
 FIRST = DetectionScores().start()
 
 
@@ -51,7 +52,7 @@ def after(rule: DetectionScores, *scores: np.ndarray) -> ScoresSeen:
             score,
             np.zeros(len(score), np.int64),
         )
-        state = rule.advance(state, SimpleNamespace(detections=found))
+        state = rule.advance(state, SimpleNamespace(detections=found, estimates=NOBODY))
     return state
 
 
@@ -156,25 +157,31 @@ def test_scores_become_log_odds_as_defined(scores: list[float], low: float, more
     )
 
 
-def plain_chains(before, boxes, x, waiting, length, overlap):
+def plain_chains(before, boxes, x, followed, chains, overlap):
     """`chained` as it is defined."""
+    waiting, held, length, _ = chains
     link = following(before, boxes, overlap)
     most = waiting.shape[1]
     now = np.full((len(x), most), np.nan)
+    known = np.zeros((len(x), most), bool)
     long = np.ones(len(x), np.int64)
     true = []
     for j, i in enumerate(link):
         if i >= 0:
             now[j] = waiting[i]
+            known[j] = held[i]
             long[j] = length[i] + 1
-        now[j, min(long[j], most) - 1] = x[j]
+        newest = min(long[j], most) - 1
+        now[j, newest] = x[j]
+        known[j, newest] = followed[j]
         if long[j] >= most:
             true += now[j][~np.isnan(now[j])].tolist()
             now[j] = np.nan
     ended = np.setdiff1d(np.arange(len(before)), link)
-    false = waiting[ended].ravel()
+    false, lost = waiting[ended], held[ended]
+    verdicts = (np.array(true), *(false[~np.isnan(false) & at] for at in (lost, ~lost)))
     ends = np.isin(np.arange(len(before)), ended)
-    return now, long, np.array(true), false[~np.isnan(false)], ends
+    return (now, known, long, x), verdicts, ends
 
 
 def plain_newton(before: Line, true, false, prior: Line, remembered: float) -> Line:
@@ -201,19 +208,20 @@ def test_verdicts_and_what_they_teach_are_as_defined(seed: int, count: int, leng
     rng = np.random.default_rng(seed)
     corner = rng.uniform(0, 60, (count, 2))
     boxes = np.hstack([corner, corner + 30])
-    waiting = np.zeros((0, length))
-    long = np.zeros(0, np.int64)
+    nothing = np.zeros(0)
+    chains = (np.zeros((0, length)), np.zeros((0, length), bool), nothing.astype(int), nothing)
     before = np.zeros((0, 4))
     line = Line(rng.normal(0, 1, 2), np.diag(rng.uniform(1, 5, 2)), np.array([7.0, 3.0]))
     prior = Line(np.array([8.0, -2.0]), np.diag([4.0, 1.0]), np.array([7.0, 3.0]))
     for _ in range(9):
         now = (boxes + rng.normal(0, 5, boxes.shape))[rng.random(count) < 0.9]
         x = np.where(rng.random(len(now)) < 0.2, np.nan, rng.normal(0, 2, len(now)))
-        wanted = plain_chains(before, now, x, waiting, long, 0.3)
-        got = chained(before, now, x, waiting, long, 0.3)
-        for a, b in zip(got, wanted, strict=True):
+        followed = rng.random(len(now)) < 0.5
+        wanted, ends, over = plain_chains(before, now, x, followed, chains, 0.3)
+        chains, verdicts, ended = chained(before, now, x, followed, chains, 0.3)
+        for a, b in zip((*chains, *verdicts, ended), (*wanted, *ends, over), strict=True):
             np.testing.assert_array_equal(a, b)
-        waiting, long, true, false, _ = got
+        true, false = verdicts[0], verdicts[2]
         wanted_line = plain_newton(line, true, false, prior, 50.0)
         line = Line(*newton(line, true, false, prior, 50.0))
         for a, b in zip(line, wanted_line, strict=True):
@@ -245,7 +253,7 @@ def test_the_ratio_is_learned_from_what_is_linked(seed: int, slope: float, even:
         found = Detections(
             np.hstack([place, place + 50]), 1 / (1 + np.exp(-x)), np.zeros(6, np.int64)
         )
-        state = rule.advance(state, SimpleNamespace(detections=found))
+        state = rule.advance(state, SimpleNamespace(detections=found, estimates=NOBODY))
     learned, _ = rule.log_odds(
         1 / (1 + np.exp(-np.array([offset / slope, offset / slope + 1]))), state
     )
@@ -268,7 +276,7 @@ def test_scores_that_tell_nothing_say_nothing_of_lasting_alarms(slope: float, sh
         found = Detections(
             np.hstack([place, place + 50]), 1 / (1 + np.exp(-x)), np.zeros(6, np.int64)
         )
-        state = RULE.advance(state, SimpleNamespace(detections=found))
+        state = RULE.advance(state, SimpleNamespace(detections=found, estimates=NOBODY))
     score = np.array([0.1, 0.9])
     claimed = np.log(score / (1 - score))
     _, before = RULE.log_odds(score, FIRST)
@@ -293,7 +301,7 @@ def test_false_alarms_are_learned_from_detections_that_are_alone(false: int):
         found = Detections(
             np.hstack([place, place + 50]), np.ones(len(place)), np.zeros(len(place), np.int64)
         )
-        state = rule.advance(state, SimpleNamespace(detections=found))
+        state = rule.advance(state, SimpleNamespace(detections=found, estimates=NOBODY))
     model = Model(None, None, None, UniformClutter(2.0), rate=1.0)
     told = rule.with_scores(state, model, found).clutter.intensity(np.zeros((4, len(place))))
     # Of the (3 + false)·(frames − 1) detections with a verdict those that were not forgotten, and

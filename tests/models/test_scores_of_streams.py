@@ -14,9 +14,10 @@ from phdtrack.kernels.detection_scores import neighbours
 from phdtrack.models.clutter import BoxClutter, UniformClutter
 from phdtrack.models.detection_scores import GOOD, LEVEL_FRAMES, NEAR, DetectionScores, ScoresSeen
 from phdtrack.protocols import Model
-from phdtrack.types import Detections
+from phdtrack.types import Detections, Estimates
 
 RULE = DetectionScores()
+NOBODY = Estimates.empty(6)
 
 
 def detections(boxes: np.ndarray, score: np.ndarray) -> Detections:
@@ -27,7 +28,7 @@ def seen(frames: list[Detections]) -> ScoresSeen:
     """The state after these frames."""
     state = RULE.start()
     for found in frames:
-        state = RULE.advance(state, SimpleNamespace(detections=found))
+        state = RULE.advance(state, SimpleNamespace(detections=found, estimates=NOBODY))
     return state
 
 
@@ -178,7 +179,9 @@ def test_level_falls_slowly_after_high_scores():
     np.testing.assert_allclose(lasting - x, 0, atol=1e-9)
     frames = 1000
     for _ in range(frames):
-        state = RULE.advance(state, SimpleNamespace(detections=detections(boxes, low)))
+        state = RULE.advance(
+            state, SimpleNamespace(detections=detections(boxes, low), estimates=NOBODY)
+        )
     level = x[0] + (np.log(9) - x[0]) * (1 - 1 / LEVEL_FRAMES) ** frames
     assert state.level == pytest.approx(level)
     # The scores of a frame count for its own level.

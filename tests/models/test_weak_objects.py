@@ -14,9 +14,10 @@ from phdtrack.kernels.detection_scores import Steadiness, steadier
 from phdtrack.models.clutter import UniformClutter
 from phdtrack.models.detection_scores import FLICKER, DetectionScores, ScoresSeen
 from phdtrack.protocols import Model
-from phdtrack.types import Detections
+from phdtrack.types import Detections, Estimates
 
 RULE = DetectionScores()
+NOBODY = Estimates.empty(6)
 SIZE = np.array([40.0, 80.0])
 
 
@@ -79,7 +80,7 @@ def seen_chains(missing: float, frames: int = 200) -> ScoresSeen:
         score = np.append(np.full(4, 0.9), rng.uniform(0.3, 0.4, 4))
         here = np.append(np.full(4, True), rng.random(4) >= missing)
         found = Detections(boxes[here], score[here], np.zeros(here.sum(), np.int64))
-        state = RULE.advance(state, SimpleNamespace(detections=found))
+        state = RULE.advance(state, SimpleNamespace(detections=found, estimates=NOBODY))
     return state
 
 

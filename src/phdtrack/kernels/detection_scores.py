@@ -39,6 +39,11 @@ class Steadiness(NamedTuple):
 
 # Scores are probabilities, log odds, or on another scale: then they are ranked.
 PROBABILITY, LOGIT, RANK = range(3)
+# Of m chains: x (m, L) of their detections that wait for a verdict, NaN where none does; whether
+# these are followed (m, L); how long the chains are (m,); and x (m,) of their last detections.
+Chains = tuple[F8, Bool, I8, F8]
+# x (n,) of detections whose chain has lasted, and of those whose chain has ended, followed or not.
+Verdicts = tuple[F8, F8, F8]
 
 
 @njit(**MERGED)
@@ -76,51 +81,72 @@ def scaled(
     return low, high, kind, x
 
 
+@njit(**INNER)
+def _broken(waiting: F8, held: Bool, ended: Bool) -> tuple[F8, F8]:
+    """x of the detections of chains (n, L) that have ``ended`` (n,): of those that were followed,
+    ``held``, and of the others.
+    """
+    followed = np.empty(waiting.size)
+    false = np.empty(waiting.size)
+    b = f = 0 * waiting.size
+    for i in range(waiting.shape[0]):
+        for k in range(waiting.shape[1]):
+            if not ended[i] or math.isnan(waiting[i, k]):
+                continue
+            if held[i, k]:
+                followed[b] = waiting[i, k]
+                b += 1
+            else:
+                false[f] = waiting[i, k]
+                f += 1
+    return followed[:b].copy(), false[:f].copy()
+
+
 @njit(**MERGED)
 def chained(
-    before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: float
-) -> tuple[F8, I8, F8, F8, Bool]:
+    before: F8, boxes: F8, x: F8, followed: Bool, chains: Chains, overlap: float
+) -> tuple[Chains, Verdicts, Bool]:
     """The chains of detections after a frame, and its verdicts.
 
-    ``before`` (n, 4) are the boxes of the frame before, of whose chains ``waiting`` (n, L) are what
-    waits, NaN where nothing does, and ``length`` (n,) how long they are. ``boxes`` (m, 4) and ``x``
-    (m,) are of this frame. Returns both for its m chains, x of what was true, as its chain has
-    lasted for L frames, and false, as it has ended before, and which (n,) of the frame before end
-    their chain.
+    ``before`` (n, 4) are the boxes of the frame before, with their ``chains``. ``boxes`` (m, 4),
+    ``x`` (m,) and whether a target rests on each, ``followed`` (m,), are of this frame. Returns the
+    m chains of these; x of what was true, as its chain has lasted for L frames, and of what was
+    false, as its chain has ended before, those that were followed and the others; and which (n,) of
+    the frame before end their chain.
     """
+    waiting, held, length, _ = chains
     m = boxes.shape[0]
     most = waiting.shape[1]
     link = following(before, boxes, overlap)
     now = np.empty((m, most))
+    known = np.empty((m, most), np.bool_)
     long = np.empty(m, np.int64)
     true = np.empty(m * most)
-    false = np.empty(waiting.size)
-    t = f = 0 * m
+    t = 0 * m
     ended = flags(before.shape[0], True)
     for j in range(m):
         i = link[j]
         long[j] = 1
         for k in range(most):
             now[j, k] = math.nan
+            known[j, k] = False
         if i >= 0:
             ended[i] = False
             long[j] = length[i] + 1
             for k in range(most):
                 now[j, k] = waiting[i, k]
-        now[j, (long[j] if long[j] < most else most) - 1] = x[j]
+                known[j, k] = held[i, k]
+        newest = (long[j] if long[j] < most else most) - 1
+        now[j, newest] = x[j]
+        known[j, newest] = followed[j]
         if long[j] >= most:
             for k in range(most):
                 if not math.isnan(now[j, k]):
                     true[t] = now[j, k]
                     t += 1
                 now[j, k] = math.nan
-    for i in range(before.shape[0]):
-        if ended[i]:
-            for k in range(most):
-                if not math.isnan(waiting[i, k]):
-                    false[f] = waiting[i, k]
-                    f += 1
-    return now, long, true[:t].copy(), false[:f].copy(), ended
+    broken, false = _broken(waiting, held, ended)
+    return (now, known, long, x), (true[:t].copy(), broken, false), ended
 
 
 @njit(**MERGED)
@@ -297,11 +323,29 @@ def levelled(
     return low, high, kind, x, level
 
 
+@njit(**INNER)
+def _is_beside(j: int, boxes: F8, targets: F8, overlap: float) -> bool:
+    """Test if box ``j`` of the boxes (n, 4) overlaps one of the targets (t, 4) by more (IoU)."""
+    if targets.shape[0] == 0:
+        return False
+    box = boxes[j]
+    for i in range(targets.shape[0]):
+        width = min(box[2], targets[i, 2]) - max(box[0], targets[i, 0])
+        height = min(box[3], targets[i, 3]) - max(box[1], targets[i, 1])
+        if width > 0.0 and height > 0.0:
+            both = width * height
+            area = (box[2] - box[0]) * (box[3] - box[1])
+            other = (targets[i, 2] - targets[i, 0]) * (targets[i, 3] - targets[i, 1])
+            if both > overlap * (area + other - both):
+                return True
+    return False
+
+
 @njit(**ENTRY)
 def evidence_of(
     x: F8,
-    slope: float,
-    offset: float,
+    lines: tuple[float, float, float, float],
+    places: tuple[F8, F8, float],
     limit: float,
     of_lasting: float,
     ranked: bool,
@@ -309,22 +353,36 @@ def evidence_of(
 ) -> tuple[F8, F8]:
     """Log odds (n,) of targets against false alarms, and against those that last; 0 for NaN.
 
-    The first are within ``limit``. The others are ``of_lasting`` times them if scores are
-    ``ranked``, else times x; if negative, no less than ``steady`` says, the information and the
-    precision of `Steadiness`.
+    The first are within ``limit``. ``lines``: a and b for detections beside a target, and for the
+    others. ``places``: boxes (n, 4) of the detections and (t, 4) of targets, and the overlap by
+    which one lies beside a target. The second are ``of_lasting`` times what the first line says if
+    scores are ``ranked``, else times x; if negative, no less than ``steady`` says, the information
+    and the precision of `Steadiness`.
     """
     a, b = _mean_of(steady[0], steady[1])
+    boxes, targets, overlap = places
     single = np.empty(x.size)
     lasting = np.empty(x.size)
     for j in range(x.size):
         if math.isnan(x[j]):
             single[j] = 0.0
             lasting[j] = 0.0
-        else:
-            single[j] = min(max(slope * x[j] + offset, -limit), limit)
-            claim = of_lasting * (single[j] if ranked else x[j])
-            lasting[j] = max(claim, min(a * x[j] + b, 0.0))
+            continue
+        single[j] = min(max(lines[0] * x[j] + lines[1], -limit), limit)
+        claim = of_lasting * (single[j] if ranked else x[j])
+        lasting[j] = max(claim, min(a * x[j] + b, 0.0))
+        if not _is_beside(j, boxes, targets, overlap):
+            single[j] = min(max(lines[2] * x[j] + lines[3], -limit), limit)
     return single, lasting
+
+
+@njit(**INNER)
+def _joined(first: F8, second: F8) -> F8:
+    """Both, one after the other."""
+    out = np.empty(first.size + second.size)
+    for k in range(out.size):
+        out[k] = first[k] if k < first.size else second[k - first.size]
+    return out
 
 
 @njit(**ENTRY)
@@ -332,52 +390,61 @@ def learned_frame(
     before: F8,
     boxes: F8,
     x: F8,
-    chains: tuple[F8, I8, F8],
-    line: Line,
+    followed: I8,
+    chains: Chains,
+    lines: tuple[Line, Line],
     prior: Line,
     steady: tuple[Steadiness, Steadiness],
     rule: tuple[float, float, int, float],
     same_kind: bool,
 ) -> tuple[
-    tuple[F8, I8],
-    tuple[F8, F8, F8],
+    Chains,
+    tuple[Line, Line],
     bool,
     tuple[F8, F8, F8],
     tuple[int, int, int, int, int],
 ]:
-    """The chains and the line after a frame, whether there were verdicts on it, the steadiness, and
-    counts: of boxes ``before`` that are alone, linked neither before nor now, and what `neighbours`
-    counts of all boxes, and of those alone.
+    """The chains and the lines after a frame, whether there were verdicts on these, the steadiness,
+    and counts: of boxes ``before`` that are alone, linked neither before nor now, and what
+    `neighbours` counts of all boxes, and of those alone.
 
-    ``before``, ``boxes``, ``x``: see `chained`. ``chains``: what waits, how long they are, and x of
-    their last detections. ``line``, ``prior``: see `newton`. ``steady``: that before, and its
+    ``before``, ``boxes``, ``x``, ``chains``: see `chained`. ``followed`` (t,): the detections that
+    targets rest on, −1 for none. ``lines``, ``prior``: see `newton`; for the second, detections
+    that were followed are true though their chain has ended. ``steady``: that before, and its
     prior. ``rule``: the overlap, how many verdicts are remembered, how many boxes are asked for
     neighbours, and the flicker of `steadier`. If scores are no longer of the ``same_kind``,
     verdicts wait anew.
     """
     overlap, remembered, most, flicker = rule
-    waiting, length, true, false, ended = chained(before, boxes, x, chains[0], chains[1], overlap)
+    rests = flags(len(boxes), False)
+    for j in followed:
+        if j >= 0:
+            rests[j] = True
+    after, verdicts, ended = chained(before, boxes, x, rests, chains, overlap)
     alone = 0
     lone = flags(ended.size, False)
-    followed = floats(ended.size, math.nan)
+    steadied = floats(ended.size, math.nan)
     for i in range(ended.size):
-        lone[i] = ended[i] and chains[1][i] == 1
+        lone[i] = ended[i] and chains[2][i] == 1
         alone += lone[i]
-        if chains[1][i] >= waiting.shape[1]:
-            followed[i] = chains[2][i]
+        if chains[2][i] >= chains[0].shape[1]:
+            steadied[i] = chains[3][i]
     near = neighbours(boxes, flags(len(boxes), True), most)
     of_lone = neighbours(before, lone, most)
     counts = (alone, near[0], near[1], of_lone[0], of_lone[1])
-    learned = same_kind and true.size + false.size > 0
-    information, precision, verdicts = line
+    line, away = lines
     known = Steadiness(*steady[0])
     seen = known.information, known.precision, known.breaks
+    true, broken, false = verdicts
+    learned = same_kind and true.size + broken.size + false.size > 0
     if same_kind:
-        seen = steadier(known, followed, ended, Steadiness(*steady[1]), remembered, flicker)
-    if not same_kind:
+        seen = steadier(known, steadied, ended, Steadiness(*steady[1]), remembered, flicker)
+    else:
+        waiting = after[0]
         for j in range(waiting.shape[0]):
             for k in range(waiting.shape[1]):
                 waiting[j, k] = math.nan
-    elif learned:
-        information, precision, verdicts = newton(line, true, false, prior, remembered)
-    return (waiting, length), (information, precision, verdicts), learned, seen, counts
+    if learned:
+        line = newton(line, true, _joined(broken, false), prior, remembered)
+        away = newton(away, _joined(true, broken), false, prior, remembered)
+    return after, (line, away), learned, seen, counts

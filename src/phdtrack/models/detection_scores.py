@@ -15,6 +15,12 @@ itself would call false whatever it does not follow, and confirm its own doubts.
 step of Newton's method on the posterior of (a, b), a Gaussian with the precision of what was seen
 so far; what is old is forgotten. Where all scores are the same they say nothing.
 
+What moves by more than its size from frame to frame, or is often missed, has no long chains, so
+that in slow videos the best scores seemed to say little. Where no target is known, (a, b) are
+others: for these a detection was true, too, if a target that was reported rests on it. Beside a
+target only chains decide. The false alarms there are second boxes of it and boxes of its parts.
+They have the scores of objects, and tracks follow them.
+
 Detectors differ in how high their best scores are. If those of a stream are below 0.8, all of its x
 are raised until they are not.
 
@@ -47,6 +53,7 @@ from phdtrack.errors import Checked, InputError, Positive, Share
 from phdtrack.kernels.detection_scores import (
     LOGIT,
     RANK,
+    Chains,
     Line,
     Steadiness,
     evidence_of,
@@ -62,6 +69,8 @@ KEPT = 3000
 # Frames that a chain of detections must last to be of a target, and the overlap (IoU) of its links.
 LENGTH = 6
 LINKED = 0.3
+# The overlap (IoU) by which a detection lies beside a target of the last frame.
+BESIDE = 0.2
 # Precisions of a and of b that the prior has, and its verdicts, true and false.
 PRIOR_PRECISION = np.array([4.0, 1.0])
 PRIOR_VERDICTS = np.array([7.0, 3.0])
@@ -102,6 +111,7 @@ GOOD = math.log(4)
 LEVEL_FRAMES = 500.0
 _NO_SCORES = np.zeros(0)
 _SCALES = (LARGEST_LOGIT, EVEN_LOGIT, BOUND, LEAST)
+_NO_BOXES = np.zeros((0, 4))
 
 
 @state_record
@@ -113,11 +123,10 @@ class ScoresSeen:
     scores : (n,) the newest of those that are ranked.
     extent : the least and the greatest score that was ever seen.
     boxes : (m, 4) detections of the last frame.
-    waiting : (m, `LENGTH`) x of the detections of their chains that wait for a verdict, NaN where
-        there is none.
-    length : (m,) frames that their chains have lasted.
-    last : (m,) x of the detections of the last frame.
-    line : what is known of (a, b); None before the first verdict.
+    chains : theirs, `kernels.detection_scores.Chains`.
+    targets : (t, 4) boxes of the targets of the last frame.
+    line, away : what is known of (a, b) beside targets, and elsewhere; None before the first
+        verdict.
     steady : what chains have shown of lasting false alarms; None before the first frame.
     level : x of the best scores, see `LEVEL_FRAMES`; −∞ before there are any.
     near : how many detections were in the neighbourhood of another, and of how many.
@@ -128,11 +137,18 @@ class ScoresSeen:
 
     scores: F8 = field(default_factory=lambda: np.zeros(0))
     extent: tuple[float, float] = (math.inf, -math.inf)
-    boxes: F8 = field(default_factory=lambda: np.zeros((0, 4)))
-    waiting: F8 = field(default_factory=lambda: np.zeros((0, LENGTH)))
-    length: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    last: F8 = field(default_factory=lambda: np.zeros(0))
+    boxes: F8 = field(default_factory=lambda: _NO_BOXES)
+    chains: Chains = field(
+        default_factory=lambda: (
+            np.zeros((0, LENGTH)),
+            np.zeros((0, LENGTH), np.bool_),
+            np.zeros(0, np.int64),
+            _NO_SCORES,
+        )
+    )
+    targets: F8 = field(default_factory=lambda: _NO_BOXES)
     line: Line | None = None
+    away: Line | None = None
     steady: Steadiness | None = None
     alone: tuple[float, float] = (0.0, FIRST_SEEN)
     near: tuple[float, float] = (0.0, 0.0)
@@ -173,33 +189,47 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
             )
             raise InputError(problem, where="[detection_scores] of kind scores")
 
-    def log_odds(self, score: F8, state: ScoresSeen) -> tuple[F8, F8]:
+    def log_odds(self, score: F8, state: ScoresSeen, boxes: F8 = _NO_BOXES) -> tuple[F8, F8]:
         """Log p(s|target)/p(s|false alarm) of the scores (n,) of a frame, and the same against
         false alarms that last.
 
         Both (n,), and 0 for NaN and where all scores are the same.
+
+        Parameters
+        ----------
+        score : (n,) of the detections.
+        state : what is known of scores.
+        boxes : (n, 4) of the detections, xyxy, pixels; without them none lies beside a target.
         """
         _, kind, x, _, _ = _scaled(state, score)
         limit = math.log(self.max_odds)
-        slope, offset, deviation = self._line(state, kind)
+        known = kind == state.kind
+        slope, offset, deviation = self._line(state.line if known else None, kind)
+        away = self._line(state.away if known else None, kind)[:2]
         of_lasting = LASTING_SHARE
         if kind != RANK:
             believed = CLAIMED_SLOPE * self._prior(kind)[0]
             of_lasting = min((slope + SURE * deviation) / believed, 1.0)
         steady = _claimed(kind)
-        if state.steady is not None and kind == state.kind:
+        if state.steady is not None and known:
             steady = state.steady
         found: tuple[F8, F8] = evidence_of(
-            x, slope, offset, limit, of_lasting, kind == RANK, tuple(steady[:2])
+            x,
+            (slope, offset, *away),
+            (boxes, state.targets if len(boxes) else _NO_BOXES, BESIDE),
+            limit,
+            of_lasting,
+            kind == RANK,
+            tuple(steady[:2]),
         )
         return found
 
-    def _line(self, state: ScoresSeen, kind: int) -> tuple[float, float, float]:
-        """a, b, and the standard deviation of a."""
-        if state.line is None or kind != state.kind:
+    def _line(self, line: Line | None, kind: int) -> tuple[float, float, float]:
+        """a, b, and the standard deviation of a; of the prior if there is no line."""
+        if line is None:
             return *self._prior(kind), 1 / math.sqrt(PRIOR_PRECISION[0])
-        (p, q), (_, r) = state.line.precision.tolist()
-        first, second = state.line.information.tolist()
+        (p, q), (_, r) = line.precision.tolist()
+        first, second = line.information.tolist()
         determinant = p * r - q * q
         slope = max((r * first - q * second) / determinant, 0.0)
         return slope, (p * second - q * first) / determinant, math.sqrt(r / determinant)
@@ -219,7 +249,7 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         """The model whose false alarms are weighed by the scores of the detections, and as many as
         this stream shows [PMB (16)].
         """
-        single, lasting = self.log_odds(detections.confidence, state)
+        single, lasting = self.log_odds(detections.confidence, state, detections.xyxy)
         more = max(state.alone[0] / state.alone[1] / self.usual_alone, 1.0)
         anew = 1.0
         # What a scene has taught of false alarms, or a user says of a frame's, stands.
@@ -264,12 +294,13 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         # As plain tuples: Numba looks up the class of every named one.
         prior = _prior_line(*self._prior(kind))
         claimed = tuple(_claimed(kind))
-        (waiting, length), known, learned, steady, counts = learned_frame(
+        chains, lines, learned, steady, counts = learned_frame(
             state.boxes,
             boxes,
             x,
-            (state.waiting, state.length, state.last),
-            tuple(state.line or prior),
+            _places(step),
+            state.chains,
+            (tuple(state.line or prior), tuple(state.away or prior)),
             prior,
             (tuple(state.steady or claimed), claimed),
             (LINKED, float(KEPT), NEAR_ASKED, FLICKER),
@@ -278,23 +309,34 @@ class DetectionScores(Checked, Learning[ScoresSeen]):
         n = len(state.boxes)
         kept = max(1 - n / KEPT, 0.0)
         alone = kept * state.alone[0] + counts[0], kept * state.alone[1] + n
-        line = state.line if same else None
+        line, away = (state.line, state.away) if same else (None, None)
         if learned:
-            line = Line(*known)
+            line, away = Line(*lines[0]), Line(*lines[1])
         return ScoresSeen(
             scores,
             extent,
             boxes,
-            waiting,
-            length,
-            x,
+            chains,
+            step.estimates.xyxy,
             line,
+            away,
             Steadiness(*steady) if same else None,
             alone,
             _with_neighbours(state.near, *counts[1:3]),
             _with_neighbours(state.near_alone, *counts[3:]),
             level,
         )
+
+
+def _places(step: Step) -> I8:
+    """(t,) the place of the detection that each target of a frame rests on, −1 for none."""
+    row = step.detections.row
+    detection = step.estimates.detection
+    if not len(row) or row[-1] == len(row) - 1:
+        return detection
+    # Rows are ascending: some detections of the frame are of another pipeline.
+    place = np.minimum(row.searchsorted(detection), len(row) - 1)
+    return np.where(row[place] == detection, place, -1)
 
 
 # What follows is the same in nearly every frame, and takes longer than a kernel.

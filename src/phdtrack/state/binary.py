@@ -21,7 +21,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 
-FORMAT = 34
+FORMAT = 35
 """The format number of blocks; it changes when a record that is saved gets other fields."""
 _MAGIC = b"PHDT"
 _CHECKSUM_SIZE = 16
