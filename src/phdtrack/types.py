@@ -72,9 +72,8 @@ NO_NUMBERS: F8 = np.zeros(0)
 NO_INTEGERS: I8 = np.zeros(0, np.int64)
 NO_DESCRIPTORS: F4 = np.zeros((0, 0), np.float32)
 NO_PAIRS: I8 = np.zeros((0, 2), np.int64)
-STILL: F8 = np.zeros(
-    (0, 3)
-)  # stands for a (3, 3) homography between the pixels of two frames: there is none
+# Stands for a (3, 3) homography between the pixels of two frames: there is none.
+STILL: F8 = np.zeros((0, 3))
 # The highest frame number: three years at a hundred a second. Products of it with a picture's size
 # are exact.
 LAST_FRAME = 10_000_000_000
