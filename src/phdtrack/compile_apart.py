@@ -27,9 +27,10 @@ from numba import types
 from phdtrack.kernels import cache
 from phdtrack.kernels.second_compiler import FINISHED, NOW, SETTINGS
 
-# The packages whose classes settings may have. The modules of a user's program are not imported:
-# they may do more than define classes.
-_KNOWN = {"builtins", "collections", "datetime", "functools", "numpy", "pathlib", "phdtrack"}
+# The packages whose classes settings may have, and the built-in classes. The modules of a user's
+# program are not imported: they may do more than define classes.
+_KNOWN = {"collections", "datetime", "functools", "numpy", "pathlib", "phdtrack"}
+_BUILT_IN = {"bytearray", "complex", "frozenset", "range", "set", "slice"}
 # Boxes of the first updates, and their motion: their calls are known after a few frames.
 _BOXES = np.array([[100.0, 100, 140, 200], [300, 200, 350, 320], [500, 90, 540, 190]])
 _MOTION = np.array([4.0, 2, 4, 2])
@@ -80,13 +81,19 @@ class _Interpreted:
 _CALLED = dict[_Interpreted, None]()
 
 
-class _Settings(pickle.Unpickler):
-    """Reads settings without importing anything of the user's."""
+class SettingsReader(pickle.Unpickler):
+    """Reads settings, which only the first process can have written, without importing anything of
+    the user's.
+    """
 
     def find_class(self, module: str, name: str) -> Any:
-        """The class of this name, if its package is known."""
-        if module.partition(".")[0] not in _KNOWN:
-            raise pickle.UnpicklingError(module)
+        """The class of this name, if its package is known.
+
+        Raises `pickle.UnpicklingError` if it is not.
+        """
+        known = name in _BUILT_IN if module == "builtins" else module.partition(".")[0] in _KNOWN
+        if not known:
+            raise pickle.UnpicklingError(f"{module}.{name} is no class of settings")
         return super().find_class(module, name)
 
 
@@ -130,7 +137,7 @@ def _in_order(settings: bytes) -> Iterator[tuple[_Interpreted, Any]]:
     # What imports kernels comes after this.
     from phdtrack.tracker import Tracker
 
-    classes, seed = _Settings(BytesIO(settings)).load()
+    classes, seed = SettingsReader(BytesIO(settings)).load()
     tracker = Tracker(stages=classes, seed=seed)
     tracker.on_warning = lambda sentence: None
     began = time.monotonic()
