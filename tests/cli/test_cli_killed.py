@@ -27,7 +27,7 @@ from phdtrack.run.detection_log import write_block
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.video import VideoWriter, open_source
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("paged")]
 
 SAME = (rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.VIDEO)
 # Ends its own process by a signal after some calls of a method.
