@@ -203,7 +203,14 @@ def main(options: Options) -> Path:
             results.append((world, run, *cells, *compared(each, run, today)))
         pairs = (*WORTH, (TWO, today), (ANEW, today))
         worth += [(world, f"{a} less {b}", *compared(each, a, b)) for a, b in dict.fromkeys(pairs)]
-    header = ("MOTA", "misses", "false boxes", "false tracks", "MOTA less that of today", "")
+    header = (
+        "MOTA",
+        "misses",
+        "false boxes",
+        "false tracks",
+        "MOTA less that of the reference",
+        "",
+    )
     return write(
         "day_night",
         options,

@@ -16,6 +16,7 @@ import pytest
 
 from phdtrack import Tracker
 from phdtrack.compile_apart import SettingsReader
+from programs import finished
 
 BOXES = np.array([[100.0, 100, 140, 200], [300, 200, 350, 320], [600, 100, 640, 190]])
 
@@ -44,14 +45,7 @@ def ran(folder: Path, **environment: str) -> dict[str, Any]:
     places = {"NUMBA_CACHE_DIR": str(folder / "kept"), "TMPDIR": str(temporary)}
     inherited = os.environ | places | environment
     inherited.pop("NUMBA_DISABLE_JIT", None)
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        env=inherited,
-        capture_output=True,
-        text=True,
-        timeout=3000,
-    )
-    assert done.returncode == 0, done.stderr
+    done = finished(PROGRAM, env=inherited, timeout=3000)
     # Nothing is left of the second process.
     assert list(temporary.iterdir()) == []
     found: dict[str, Any] = json.loads(done.stdout)

@@ -25,6 +25,7 @@ from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
 from phdtrack.run.choices import chosen_settings
 from phdtrack.run.requests import TrackingRequest
+from programs import finished
 
 
 def run(
@@ -264,10 +265,7 @@ NEVER = {
 
 def modules(program: str, *arguments: object) -> list[str]:
     """What the program prints, line by line, in a fresh process in which ``sys`` is imported."""
-    command = [sys.executable, "-c", f"import sys\n{program}", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+    return finished(f"import sys\n{program}", *map(str, arguments)).stdout.splitlines()
 
 
 def test_nothing_heavy_is_imported_before_a_command_runs() -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import phdtrack
+from programs import finished
 
 pytestmark = pytest.mark.slow
 
@@ -64,11 +65,8 @@ def run(
     environment = (
         kept | {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"} | environment
     )
-    command = [sys.executable, "-c", PROGRAM.format(quiet=quiet)]
-    done = subprocess.run(
-        command, env=environment, cwd=installed, capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == 0, done.stderr
+    program = PROGRAM.format(quiet=quiet)
+    done = finished(program, env=environment, cwd=installed, timeout=120)
     return json.loads(done.stdout), done.stderr
 
 
@@ -215,14 +213,7 @@ def test_a_kernel_of_a_users_record_is_not_cached(installed: Path) -> None:
         RECORD,
         "from phdtrack.kernels.caller import first\nassert first((4.0,)) == 4.0",
     ):
-        done = subprocess.run(
-            [sys.executable, "-c", program],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
-        assert done.returncode == 0, done.stderr
+        finished(program, env=environment, timeout=120)
 
 
 TWICE = """

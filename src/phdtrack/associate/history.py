@@ -17,6 +17,7 @@ from phdtrack.types import (
     F4,
     F8,
     I8,
+    NO_DESCRIPTORS,
     STILL,
     Detections,
     Estimates,
@@ -26,7 +27,6 @@ from phdtrack.types import (
     state_record,
 )
 
-NO_DESCRIPTORS: F4 = np.zeros((0, 0), np.float32)
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 # Seconds of the filter's time that are remembered by default, so that memory stays bounded: some
 # 100 MB with ten targets at 25 fps.

@@ -130,7 +130,15 @@ from phdtrack.models.gaussian import (
 from phdtrack.models.pasts import carried as carried_pasts
 from phdtrack.models.volumes import LOCAL_FACTOR
 from phdtrack.protocols import Clutter, Filter, Model
-from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo, state_record
+from phdtrack.types import (
+    F8,
+    I8,
+    NO_NUMBERS,
+    Estimates,
+    GaussianMixture,
+    UpdateInfo,
+    state_record,
+)
 
 # The probability that a target stands still when it is first detected, and the seconds for which,
 # on average, it then does.
@@ -149,8 +157,6 @@ SCORE_MEMORY = 15.0
 SCORE_KEPT = math.exp(-1 / SCORE_MEMORY)
 # The share of false alarms that are new in each frame, if no stream has shown it.
 ANEW = 0.2
-NO_NUMBERS: F8 = np.zeros(0)
-NOBODY: I8 = np.zeros((0, 2), np.int64)
 # No targets seen for the first time that are given, and no density of boxes that is local.
 NOBODY_NEW = (np.zeros(0), np.zeros((0, 6)), np.zeros((0, 6, 6)))
 NOWHERE = (0.0, 0.0, 0.0, 0.0)
@@ -533,8 +539,9 @@ class PMB(Checked, Filter[Bernoullis]):
         return Births(NewTargets(density * more, mean, covariance), *births[1:]), hidden
 
     def _visible(self, state: Bernoullis, model: Model, dt: float) -> tuple[float, float]:
-        """How many times as many targets are detected for the first time as are born in the
-        interval, and `Bernoullis.hidden` after it [PMB (18)].
+        """The ratio of the targets that can be detected for the first time to those born in the
+        interval, as some of these are hidden and some of earlier ones appear; and
+        `Bernoullis.hidden` after it [PMB (18)].
         """
         if self.mean_visible_time == 0:
             return 1.0, 0.0

@@ -53,7 +53,7 @@ from phdtrack.filters.hypotheses import (
     ended,
     parted,
 )
-from phdtrack.filters.pmb import NOBODY, without_overlaps
+from phdtrack.filters.pmb import without_overlaps
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
 from phdtrack.kernels import Records
 from phdtrack.kernels.appearance import HOLDER, Looks, Pasts, plain, ratios_of_pairs, remembered
@@ -79,7 +79,7 @@ from phdtrack.models.pasts import carried, with_looks
 from phdtrack.models.rts import predict as ahead_of
 from phdtrack.models.rts import smooth_back
 from phdtrack.protocols import Filter, Model
-from phdtrack.types import F8, I8, STILL, Bool, Estimates, GaussianMixture, UpdateInfo
+from phdtrack.types import F8, I8, NO_PAIRS, STILL, Bool, Estimates, GaussianMixture, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +340,7 @@ def _sure(state: Hypotheses, scores: Scores, looks: Looks) -> I8:
     is not known what measurements look like.
     """
     if not len(looks.mean):
-        return NOBODY
+        return NO_PAIRS
     label, target = np.unique(state.leaves.label, return_inverse=True)
     probability = state.probability
     n = len(label)

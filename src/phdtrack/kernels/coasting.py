@@ -218,5 +218,5 @@ def on_box(state: F8, covariance: F8, k: int) -> float:
         low = (moved - half) - (middle - half)
         high = (moved + half) - (middle + half)
         shift = (low + high) / (2 * size)
-        deviation[axis] = math.sqrt(shift * shift)
+        deviation[axis] = abs(shift)
     return float(_overlap_probability(deviation[0], deviation[1]))

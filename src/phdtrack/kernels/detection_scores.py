@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels import F8, I8, Bool
-from phdtrack.kernels.box import following
+from phdtrack.kernels.box import following, overlap_of
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, MERGED
 from phdtrack.kernels.small_arrays import flags, floats
@@ -326,19 +326,10 @@ def levelled(
 @njit(**INNER)
 def _is_beside(j: int, boxes: F8, targets: F8, overlap: float) -> bool:
     """Test if box ``j`` of the boxes (n, 4) overlaps one of the targets (t, 4) by more (IoU)."""
-    if targets.shape[0] == 0:
-        return False
-    box = boxes[j]
+    most = 0.0
     for i in range(targets.shape[0]):
-        width = min(box[2], targets[i, 2]) - max(box[0], targets[i, 0])
-        height = min(box[3], targets[i, 3]) - max(box[1], targets[i, 1])
-        if width > 0.0 and height > 0.0:
-            both = width * height
-            area = (box[2] - box[0]) * (box[3] - box[1])
-            other = (targets[i, 2] - targets[i, 0]) * (targets[i, 3] - targets[i, 1])
-            if both > overlap * (area + other - both):
-                return True
-    return False
+        most = max(most, overlap_of(boxes, j, targets, i))
+    return most > overlap
 
 
 @njit(**ENTRY)
