@@ -131,34 +131,66 @@ def identified(table, truth, frames, warps, kind: str = "estimated") -> float:
     return evaluate(truth, tracker.tracks(), frames=len(frames)).IDF1
 
 
-@pytest.mark.data
-def test_street_filmed_with_a_handheld_camera(data):
+@pytest.fixture(scope="module")
+def campus(data):
+    """People on a real street: the folder, the detections and the truth."""
     folder = data / "mot15" / "TUD-Campus"
     table = read_detections(folder / "det_frcnn" / "det.txt")
-    truth = read_truth(folder / "gt" / "gt.txt")
+    return folder, table, read_truth(folder / "gt" / "gt.txt")
+
+
+def handheld_street(table, truth, frames, seed: int):
+    """A path of the camera, and the detections and the truth as it sees them."""
+    path = handheld(frames, np.random.default_rng(seed))
+    boxes = seen(path, table.frame, table.detections.xyxy)
+    return (
+        path,
+        DetectionTable(table.frame, replace(table.detections, xyxy=boxes)),
+        replace(truth, xyxy=seen(path, truth.frame, truth.xyxy)),
+    )
+
+
+def steps(path, frames) -> list[np.ndarray]:
+    return [step(path, k) if k > 1 else np.eye(3) for k in frames]
+
+
+@pytest.mark.data
+def test_identities_under_handheld_cameras(campus):
+    """Means over eight paths. One switch in these 71 frames is 0.04 of IDF1, and one path's IDF1
+    scatters by 0.03, so that the mean has an error of 0.01.
+    """
+    _, table, truth = campus
+    frames = range(1, 72)
+    unmoved: list[None] = [None] * len(frames)
+    stands = identified(table, truth, frames, unmoved)
+    told, untold = [], []
+    for seed in range(5, 13):
+        path, moved, judged = handheld_street(table, truth, len(frames), seed)
+        told.append(identified(moved, judged, frames, steps(path, frames), "none"))
+        untold.append(identified(moved, judged, frames, unmoved, "none"))
+    assert np.mean(told) > stands - 0.05
+    assert np.mean(untold) < stands - 0.1
+    assert np.mean(told) > np.mean(untold) + 0.08
+
+
+@pytest.mark.data
+def test_motion_measured_in_a_handheld_video(campus):
+    """The measured motion is right to half a pixel, and as good for identities as the true one."""
+    folder, table, truth = campus
     video = next(folder.glob("*.mp4"))
     frames = [frame.number for frame in open_source(str(video))]
-    path = handheld(frames[-1], np.random.default_rng(5))
+    path, moved, judged = handheld_street(table, truth, frames[-1], 5)
     motion = CameraMotion()
-    moved = DetectionTable(
-        table.frame, replace(table.detections, xyxy=seen(path, table.frame, table.detections.xyxy))
-    )
-    judged = replace(truth, xyxy=seen(path, truth.frame, truth.xyxy))
     corners = np.array([[0.0, 640, 640, 0], [0, 0, 480, 480]])
     measured = []
-    errors = []
-    for frame in open_source(str(video)):
+    wanted = steps(path, frames)
+    for frame, true in zip(open_source(str(video)), wanted, strict=True):
         picture = filmed(frame, path, (640, 480)).image
         warp = motion(picture, moved.at(frame.number).xyxy)
         assert motion.measured
-        wanted = step(path, frame.number) if frame.number > 1 else np.eye(3)
-        errors.append(np.abs(points(warp, corners) - points(wanted, corners)).max())
+        assert np.abs(points(warp, corners) - points(true, corners)).max() < 0.5
         measured.append(warp)
-    stands = identified(table, truth, frames, [None] * len(frames))
-    told, untold = (
-        identified(moved, judged, frames, warps, "none")
-        for warps in (measured, [None] * len(frames))
+    by_truth, by_pictures = (
+        identified(moved, judged, frames, warps, "none") for warps in (wanted, measured)
     )
-    assert max(errors) < 0.5
-    assert told > stands - 0.02
-    assert untold < stands - 0.05
+    assert by_pictures > by_truth - 0.02
