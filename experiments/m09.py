@@ -14,7 +14,7 @@ second half.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -40,7 +40,10 @@ from experiments.m09_runs import (
     GM,
     PRINTED,
     TUNED,
+    TUNED_PRINTED,
     UM,
+    UM_PRINTED,
+    WORD_BY_WORD,
     SceneRun,
     SceneScores,
     score,
@@ -106,11 +109,12 @@ RIVALS = (
     ("none", UM),
     ("mht", UM),
     ("mht", GM),
-    ("fv", UM),
+    ("fv", UM_PRINTED),
+    ("fv", PRINTED),
     ("fv", AFTER),
     ("m09-mht", UM),
 )
-RUNS = (UM, TUNED, PRINTED, GM, WHOLE, AFTER, *ABLATIONS)
+RUNS = (UM, TUNED, *WORD_BY_WORD, GM, WHOLE, AFTER, *ABLATIONS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,10 +163,22 @@ class PaperScene:
 
 
 def uniform(info: SequenceInfo, filter_name: str = "") -> AnyStages:
-    """The unchanged preset, births and false alarms uniform over the image, with its own filter or
-    another one.
+    """Births and false alarms uniform over the image, with the extraction as one must, and the
+    paper's filter or another one.
     """
-    return config.build(config.load(preset="m09"), info, filter_name)
+    return config.build(config.load(preset="m09-extended"), info, filter_name)
+
+
+def of_paper(one: SceneRun, info: SequenceInfo) -> AnyStages:
+    """The paper's filter with uniform births and false alarms: with scaled or with fixed variances,
+    and with the printed extraction for runs word by word.
+    """
+    if one.filter not in ("", "fv"):
+        return uniform(info, one.filter)
+    printed = config.build(config.load(preset=one.filter or "m09"), info)
+    if one.run in WORD_BY_WORD:
+        return printed
+    return replace(printed, extractor=uniform(info).extractor)
 
 
 def learn(job: tuple[Halves, int]) -> PaperScene:
@@ -297,13 +313,15 @@ def tuned_rates(case: Case, seed: int) -> tuple[float, float]:
     return max(scored, key=lambda rates: scored[rates])
 
 
-def with_rates(info: SequenceInfo, rates: tuple[float, float]) -> AnyStages:
-    """The preset with other rates of births a time unit and of false alarms a frame."""
+def with_rates(
+    info: SequenceInfo, rates: tuple[float, float], preset: str = "m09-extended"
+) -> AnyStages:
+    """A preset with other rates of births a time unit and of false alarms a frame."""
     sets = (
         f"birth.births_per_second={uniform(info).model.rate * rates[0]}",
         f"clutter.clutter_per_frame={rates[1]}",
     )
-    return config.build(config.load(None, sets, "m09"), info)
+    return config.build(config.load(None, sets, preset), info)
 
 
 def even(count: float, units: float, case: Case, dim: int) -> LearnedDensity:
@@ -430,14 +448,14 @@ def stages_of(one: SceneRun, halved: Halves, scene: PaperScene) -> AnyStages:
     info = halved.test.info
     if one.filter == "m09-mht":
         return config.build(config.load(preset="m09-mht"), info)
-    if one.rates is not None or one.run == TUNED:
-        return with_rates(info, one.rates or scene.tuned)
-    fixed = one.filter == "fv"
-    stages = config.build(config.load(preset="fv"), info) if fixed else uniform(info, one.filter)
+    if one.rates is not None or one.run in (TUNED, TUNED_PRINTED):
+        preset = "m09" if one.run in WORD_BY_WORD else "m09-extended"
+        return with_rates(info, one.rates or scene.tuned, preset)
+    stages = of_paper(one, info)
+    if one.run in (UM, UM_PRINTED):
+        return stages
     run, _, count = one.run.partition(" ")
     alarms = scene.at(int(count) if count else PAPER_MARKS)
-    if run == UM:
-        return stages
     if run == PRINTED:
         return mixed(stages, *scene.printed, 1.0)
     if run == AFTER:
@@ -456,7 +474,7 @@ def stages_of(one: SceneRun, halved: Halves, scene: PaperScene) -> AnyStages:
             if run in ("A2", "A5", "A6")
             else even(alarms.clutter.rate, 1.0, halved.train, 4)
         )
-        return mixed(stages, births, None if run == "A1" else false, alarms.share)
+        return mixed(stages, births, None if run == "A1" else false, 1.0)
     return mixed(stages, scene.births, alarms.clutter, 1.0 if run == WHOLE else alarms.share)
 
 
@@ -480,10 +498,13 @@ def runs_of(
                 if count in scene.alarms
                 for run in (GM, WHOLE)
             ]
-        runs += [SceneRun(name, seed, run, frames=few) for run in (UM, PRINTED, GM, AFTER)]
+        runs += [
+            SceneRun(name, seed, run, frames=few) for run in (UM, UM_PRINTED, PRINTED, GM, AFTER)
+        ]
         runs += [SceneRun(name, seed, run, filter_, frames=few) for filter_, run in RIVALS]
         runs += [
-            SceneRun(name, seed, UM, rates=rates, frames=few)
+            SceneRun(name, seed, run, rates=rates, frames=few)
+            for run in (UM, UM_PRINTED)
             for rates in SWEEP[: 1 if quick else None]
         ]
     return list(dict.fromkeys(runs))
@@ -512,7 +533,7 @@ def main(options: Options) -> Path:
         options,
         m09_claims.claims(found),
         gains=_gains(found),
-        scores=scores(found, (UM, TUNED, PRINTED, GM, WHOLE, AFTER)),
+        scores=scores(found, (*WORD_BY_WORD, UM, TUNED, GM, WHOLE, AFTER)),
         sweep=_sweep(found),
         findings=_findings(found),
         curve=_curves(curves, found),
@@ -520,13 +541,19 @@ def main(options: Options) -> Path:
         rivals=_rivals(found),
         lessons=_lessons(learned),
         times=times(found.timings),
-        frames=FRAMES,
-        seeds=SEEDS,
-        share=FRAMES // 2 // SEEDS,
+        scenes=_listed(name for name in found.scenes if name in RENDERED),
+        frames=max(one.frames for one in found.scenes.values()),
+        seeds=max(found.seeds(name) for name in found.scenes),
+        pairs=len(SWEEP),
         compared=COMPARED,
         paper_marks=PAPER_MARKS,
         paper_tracks=PAPER_TRACKS,
     )
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Names as code, with commas between them."""
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def draw_sweeps(found: SceneResults, path: Path) -> None:
@@ -622,7 +649,7 @@ def draw(curves: Mapping[str, Curve], found: SceneResults, path: Path) -> None:
 def _delays(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
-        for run in (UM, TUNED, PRINTED, GM, AFTER):
+        for run in (*WORD_BY_WORD, UM, TUNED, GM, AFTER):
             rows.append(
                 (
                     scene,
@@ -648,18 +675,18 @@ def _curves(curves: Mapping[str, Curve], found: SceneResults) -> str:
 def _sweep(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
-        births, clutter = rates = m09_claims.best_rates(found, scene)
-        cells = []
-        for score_ in ("MODA", "MOTA"):
-            best = found.each(scene, UM, score_, rates=rates)
-            for run in (PRINTED, AFTER):
-                learned = found.each_short(scene, run, score_)
-                gap = [a - b for a, b in zip(learned, best, strict=True)]
-                cells += [with_error(gap, sign="+")]
-            cells.insert(len(cells) - 2, f"{np.mean(best):.3f}")
-        rows.append((scene, f"{births:g}", f"{clutter:g}", *cells))
+        for plain, learned in ((UM_PRINTED, PRINTED), (UM, AFTER)):
+            births, clutter = rates = m09_claims.best_rates(found, scene, plain)
+            cells = []
+            for score_ in ("MODA", "MOTA"):
+                best = found.each(scene, plain, score_, rates=rates)
+                ours = found.each_short(scene, learned, score_)
+                gap = [a - b for a, b in zip(ours, best, strict=True)]
+                cells += [f"{np.mean(best):.3f}", with_error(gap, sign="+")]
+            rows.append((scene, learned, f"{births:g}", f"{clutter:g}", *cells))
     header = (
         "scene",
+        "learned",
         "births",
         "clutter",
         *(f"{score_}{words}" for score_ in ("MODA", "MOTA") for words in _BESIDE_BEST),
@@ -667,22 +694,21 @@ def _sweep(found: SceneResults) -> str:
     return table(header, rows)
 
 
-_BESIDE_BEST = (" of the best UM", ", printed less it", ", after less it")
+_BESIDE_BEST = (" of the best UM", ", learned less it")
 
 
 def _gains(found: SceneResults) -> str:
-    """Scores of the runs less those of the uniform model, with standard errors over the seeds."""
-    rows = [
-        (
-            scene,
-            run,
-            *(with_error(found.gaps(scene, run, UM, score_), sign="+") for score_ in SCORES),
-            with_error(found.gaps(scene, run, UM, "false_tracks"), 1, "+"),
-        )
-        for scene in found.scenes
-        for run in RUNS
-        if run != UM
-    ]
+    """Scores of the runs less those of the uniform model with the same extraction, with standard
+    errors over the seeds.
+    """
+    rows = []
+    for scene in found.scenes:
+        for run in RUNS:
+            plain = UM_PRINTED if run in WORD_BY_WORD else UM
+            if run != plain:
+                gaps = (with_error(found.gaps(scene, run, plain, one), sign="+") for one in SCORES)
+                false_tracks = with_error(found.gaps(scene, run, plain, "false_tracks"), 1, "+")
+                rows.append((scene, run, *gaps, false_tracks))
     header = ("scene", "run", *(f"{score_}, less UM" for score_ in SCORES), "false tracks, less UM")
     return table(header, rows)
 
@@ -709,7 +735,7 @@ _TRACKERS = {
 def _rivals(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
-        for filter_, run in (("", UM), ("", PRINTED), ("", AFTER), *RIVALS):
+        for filter_, run in (("", UM_PRINTED), ("", PRINTED), ("", UM), ("", AFTER), *RIVALS):
             keys = (*SCORES, "false_tracks")
             if filter_:
                 values = [found.each(scene, run, key, filter_) for key in keys]

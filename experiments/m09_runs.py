@@ -25,10 +25,14 @@ UM = "UM"
 GM = "GM"
 ABLATIONS = ("A1", "A2", "A3", "A4", "A5", "A6")
 # Of the paper's own filter: births of tracks that know the false alarms; the paper's recursion
-# alone; the uniform model with the rates that are best on the first half.
+# alone; the uniform model with the rates that are best on the first half, and each as printed.
 AFTER = "after"
 PRINTED = "printed"
 TUNED = "UM tuned"
+UM_PRINTED = "UM, printed"
+TUNED_PRINTED = "UM tuned, printed"
+# Those with the extraction that M09 prints.
+WORD_BY_WORD = (UM_PRINTED, TUNED_PRINTED, PRINTED)
 # Births a second and false alarms a frame in the neighbourhood of a box; their ratio counts most.
 SWEEP = tuple((0.01, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
 # Quarters of the frames, each also scored alone.

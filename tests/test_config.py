@@ -32,6 +32,7 @@ NEEDED = {
     ("extract", "kmeans"): PARTICLES,
     ("extract", "kmeans-printed"): PARTICLES,
     ("extract", "mixture"): PARTICLES,
+    ("extract", "mixture-printed"): PARTICLES,
     ("sensor", "point"): ["motion.kind='point'"],
     ("birth", "point"): ["motion.kind='point'"],
     ("clutter", "point"): ["motion.kind='point'"],

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from phdtrack import config
+from phdtrack.arrays import chi2_quantile
 from phdtrack.config import build_groups
+from phdtrack.protocols import AnyStages
 from phdtrack.types import SequenceInfo
 
 PAPERS = {
@@ -54,8 +56,9 @@ PAPERS = {
         ("birth", "births_per_second"): 0.01 * 25,
         ("clutter", "clutter_per_frame"): 1.0,
         ("filter", "particles_per_target"): 1500,
-        ("extract", "kind"): "mixture",
+        ("extract", "kind"): "mixture-printed",
         ("extract", "min_weight"): 0.5,
+        ("birth", "particles"): 1000,
     },
     # M09 §V, for the comparison with multiple hypotheses.
     "fv": {
@@ -65,7 +68,7 @@ PAPERS = {
         ("sensor", "scaling"): "fixed",
         ("sensor", "fixed_noise"): (3**0.5, 6**0.5),
         ("filter", "kind"): "particle-phd",
-        ("extract", "kind"): "mixture",
+        ("extract", "kind"): "mixture-printed",
         ("extract", "min_weight"): 0.5,
     },
     "m09-mht": {
@@ -94,6 +97,21 @@ PAPERS = {
         ("filter", "kind"): "gm-phd",
         ("filter", "max_components"): 100,
         ("extract", "min_weight"): 0.5,
+        # x, y, weight per second, variances of position and velocity; the paper's are 0.01, 0.001
+        # and 0.0001 per frame, with unit covariances.
+        ("birth", "kind"): "places",
+        ("birth", "places"): [
+            (-8.0, 6.0, 0.01 * 7, 1.0, 1.0),
+            (-10.0, -15.0, 0.001 * 7, 1.0, 1.0),
+            (15.0, -8.0, 0.0001 * 7, 1.0, 1.0),
+        ],
+        # x, y, weight, deviations of position and velocity: diag(0.1, 0.1, 1, 1).
+        ("filter", "initial"): [
+            (-11.2197, -13.1848, 1.0, 0.1**0.5, 1.0),
+            (-11.1650, -14.1883, 1.0, 0.1**0.5, 1.0),
+            (-9.2323, -13.8840, 1.0, 0.1**0.5, 1.0),
+            (-7.9414, 4.3781, 1.0, 0.1**0.5, 1.0),
+        ],
         ("groups", "kind"): "intensity",
         ("groups", "max_distance"): 2.0,
     },
@@ -102,6 +120,8 @@ PAPERS = {
         ("time", "units_per_second"): 25.0,
         ("motion", "noise_variance"): 2.0,
         ("motion", "survival_probability"): 1.0,
+        ("birth", "kind"): "uniform",
+        ("birth", "births_per_second"): 2.5,
         ("sensor", "detection_probability"): 1.0,
         ("birth", "particles"): 10,
         ("clutter", "clutter_per_frame"): 0.0,
@@ -140,13 +160,16 @@ def test_a_preset_equals_its_printed_table(paper: str):
     values = config.load(preset=paper).as_dict()
     for (section, name), printed in (PAPERS[paper] | NOT_THEIRS).items():
         found = value_of(values, section, name)
-        if isinstance(printed, float | tuple):
+        if isinstance(printed, list):
+            np.testing.assert_allclose(found, printed, rtol=1e-12, err_msg=name)
+        elif isinstance(printed, float | tuple):
             assert found == pytest.approx(printed, rel=1e-12), (section, name)
         else:
             assert found == printed, (section, name)
-    assert value_of(values, "extract", "kind") in ("hypotheses", "kmeans-printed") or (
-        value_of(values, "extract", "merge_iou") == 1.0
-    )
+    # States are never joined: the printed extractions have no setting for it.
+    assert values["extract"].get("merge_iou", 1.0) == 1.0
+    if value_of(values, "extract", "kind").endswith("printed"):
+        assert "merge_iou" not in values["extract"]
 
 
 @pytest.mark.parametrize("paper", ["m07", "m09", "fv"])
@@ -173,3 +196,26 @@ def test_e13_has_its_printed_thresholds_of_groups():
     stages = build_groups(config.load(preset="e13"))
     assert stages.grouping.max_distance == 2.0
     assert stages.grouping.max_speed_difference == 1.0
+
+
+def built(preset: str, **sections: Any) -> AnyStages:
+    """The stages of a preset for a video at its paper's frame rate."""
+    return config.build(config.load(preset=preset, **sections), SequenceInfo(360, 288, 25.0))
+
+
+@pytest.mark.parametrize("paper", ["m07", "m09", "fv"])
+def test_the_window_of_the_association_has_50_frames(paper: str):
+    assert built(paper).associator.window * 25 == 50
+
+
+def test_the_gate_of_m09s_rival_is_20():
+    """A squared distance in the four dimensions of a box."""
+    gate = built("m09-mht").filter.gate_probability
+    assert chi2_quantile(4, gate) == pytest.approx(20, abs=0.01)
+
+
+def test_e13_prunes_and_merges_as_printed():
+    values = config.load(preset="e13", sets=["camera.region=[-20, -20, 20, 20]"])
+    filter_ = config.build(values, SequenceInfo(768, 576, 7.0)).filter
+    assert filter_.weight_threshold == 1e-5
+    assert filter_.merge_distance == 2.0

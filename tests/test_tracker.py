@@ -395,6 +395,7 @@ FEW = {"filter": {"particles_per_target": 500}, "birth": {"particles": 500}}
 GIVEN = {
     "m07": FEW,
     "m09": FEW,
+    "m09-extended": FEW,
     "fv": FEW,
     "particle-phd": {"filter": PARTICLES},
     "mht": {"filter": {"kind": "mht"}},

@@ -13,6 +13,7 @@ from experiments.m09_runs import GM, UM, SceneRun
 from phdtrack import config
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.associate.rejection import FalseTrackRejection
+from phdtrack.filters import PrintedMixture
 from phdtrack.label.samples import REACH, Marks
 from phdtrack.models import BoxClutter, MeasurementBirth
 from phdtrack.models.scene import SceneBirth, SceneClutter
@@ -162,6 +163,8 @@ def test_the_papers_runs_have_densities_over_the_image(street) -> None:
         m09_runs.AFTER: (SceneBirth, 0.75, 0.0),
         m09_runs.PRINTED: (SceneBirth, 1.0, 0.0),
         m09_runs.TUNED: (MeasurementBirth, 0.075, "image"),
+        m09_runs.UM_PRINTED: usual,
+        m09_runs.TUNED_PRINTED: (MeasurementBirth, 0.075, "image"),
         "A1": learned,
         "A2": usual,
         "A3": flat,
@@ -175,6 +178,7 @@ def test_the_papers_runs_have_densities_over_the_image(street) -> None:
     assert clutter == dict.fromkeys(models, false) | {
         UM: (BoxClutter, 1.0), "A1": (BoxClutter, 1.0), "GM 10": (SceneClutter, 1.0),
         m09_runs.PRINTED: (SceneClutter, 4.0), m09_runs.TUNED: (BoxClutter, 10.0),
+        m09_runs.UM_PRINTED: (BoxClutter, 1.0), m09_runs.TUNED_PRINTED: (BoxClutter, 10.0),
     }  # fmt: skip
     # Beside learned false alarms births have the volume of the sizes that are detected, and not
     # that of the frame.
@@ -211,7 +215,9 @@ def test_fixed_variances_are_those_of_the_preset_fv(street) -> None:
         for filter_, run in m09.RIVALS
     }
     fixed = config.build(config.load(preset="fv"), case.info)
-    assert of["fv", UM] == fixed
+    assert of["fv", m09_runs.UM_PRINTED] == fixed
+    assert of["fv", m09_runs.PRINTED].extractor == fixed.extractor == PrintedMixture()
+    assert of["fv", m09_runs.AFTER].extractor == m09.uniform(case.info).extractor
     assert of["fv", m09_runs.AFTER].model.sensor == fixed.model.sensor
     assert isinstance(of["fv", m09_runs.AFTER].model.birth, SceneBirth)
     assert (

@@ -106,7 +106,7 @@ def test_shells_ask_the_program_itself() -> None:
         ("phdtrack export run --to c", ["csv", "coco", "cvat"]),
         ("phdtrack track --filter gm", ["gm-phd", "gm-cphd"]),
         ("phdtrack track --detector m", ["mean-background", "mog2"]),
-        ("phdtrack track --preset m0", ["m07", "m07-extended", "m09", "m09-mht"]),
+        ("phdtrack track --preset m0", ["m07", "m07-extended", "m09", "m09-extended", "m09-mht"]),
         ("phdtrack x", []),
     ],
 )

@@ -32,6 +32,7 @@ from phdtrack.filters import (
     ParticleCPHD,
     ParticlePHD,
     PrintedKMeans,
+    PrintedMixture,
     Raw,
 )
 from phdtrack.filters.hypotheses import Cluster, Nodes
@@ -167,6 +168,7 @@ EXTRACTORS = {
     "kmeans": KMeans(),
     "kmeans-printed": PrintedKMeans(),
     "mixture": Mixture(),
+    "mixture-printed": PrintedMixture(),
     "components": Components(),
     "joint": Joint(),
     "hypotheses": BestHypothesis(),

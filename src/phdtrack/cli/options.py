@@ -145,7 +145,7 @@ Sets = Annotated[
 _PRESETS = (
     "Settings to start from: default, background, ground, points, other-filters,"
     " background-other-filters, ground-other-filters, points-other-filters, mot15, m07,"
-    " m07-extended, m09, m09-mht, e13, d14, or fv."
+    " m07-extended, m09, m09-extended, m09-mht, e13, d14, or fv."
 )
 Preset = Annotated[str, option("NAME", _PRESETS, autocompletion=listed(_PRESETS))]
 Frames = Annotated[

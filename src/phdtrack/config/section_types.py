@@ -93,6 +93,7 @@ ExtractKind: TypeAlias = Literal[
     "kmeans",
     "kmeans-printed",
     "mixture",
+    "mixture-printed",
     "components",
 ]
 """Kinds of the section [extract]."""
@@ -130,6 +131,7 @@ PresetName: TypeAlias = Literal[
     "m07",
     "m07-extended",
     "m09",
+    "m09-extended",
     "m09-mht",
     "mot15",
     "other-filters",
@@ -508,7 +510,8 @@ class ExtractSection(TypedDict, total=False):
     """Settings of the section [extract]."""
 
     kind: ExtractKind
-    """One of bernoullis, joint, hypotheses, kmeans, kmeans-printed, mixture, components."""
+    """One of bernoullis, joint, hypotheses, kmeans, kmeans-printed, mixture, mixture-printed,
+    components."""
 
     min_weight: float
     """bernoullis: Targets that exist with less probability are not reported. Above 0, at most 1.
@@ -520,7 +523,7 @@ class ExtractSection(TypedDict, total=False):
 
     kmeans, kmeans-printed: T, clusters of less mass are not targets; M07's 0.6. Above 0.
 
-    mixture: Components of less mass are not targets; M09's 0.5. Above 0.
+    mixture, mixture-printed: Components of less mass are not targets; M09's 0.5. Above 0.
 
     components: Components of less weight are not targets; Vo and Ma's 0.5. Above 0.
     """

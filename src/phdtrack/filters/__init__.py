@@ -10,7 +10,7 @@ from phdtrack.files import lazy
 
 if TYPE_CHECKING:
     from phdtrack.filters.cphd import GMCPHD, ParticleCPHD
-    from phdtrack.filters.extract import Components, KMeans, Mixture, PrintedKMeans
+    from phdtrack.filters.extract import Components, KMeans, Mixture, PrintedKMeans, PrintedMixture
     from phdtrack.filters.mcmc import MCMC, Joint
     from phdtrack.filters.none import NoFilter, Raw
     from phdtrack.filters.phd_gaussian import GMPHD
@@ -25,7 +25,8 @@ if not TYPE_CHECKING:
         {
             **dict.fromkeys(("GMCPHD", "ParticleCPHD"), "phdtrack.filters.cphd"),
             **dict.fromkeys(
-                ("Components", "KMeans", "Mixture", "PrintedKMeans"), "phdtrack.filters.extract"
+                ("Components", "KMeans", "Mixture", "PrintedKMeans", "PrintedMixture"),
+                "phdtrack.filters.extract",
             ),
             **dict.fromkeys(("MCMC", "Joint"), "phdtrack.filters.mcmc"),
             **dict.fromkeys(("NoFilter", "Raw"), "phdtrack.filters.none"),
@@ -53,5 +54,6 @@ __all__ = [
     "ParticleCPHD",
     "ParticlePHD",
     "PrintedKMeans",
+    "PrintedMixture",
     "Raw",
 ]

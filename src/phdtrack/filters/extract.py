@@ -69,6 +69,8 @@ NEVER_SPLIT = 1e9
 # Mahalanobis distance up to which a fitted component is part of a heavier one, as in the
 # Gaussian-mixture filters.
 MERGE_DISTANCE = 2.0
+# A fitted component rests if its mean moves by less than this share of the noise.
+RESTING = 0.02
 
 
 class _Extraction(Checked):
@@ -214,19 +216,54 @@ class Mixture(_Extraction):
         self, blocks: Blocks, known: Gaussians, mixture: Gaussians, sensor: Sensor
     ) -> Gaussians:
         """EM iterations from a mixture, with a floor under the covariances [M09 §III-B]."""
-        nothing = np.zeros(0)
+        mixture, scale = _floored(mixture, sensor)
         for _ in range(self.iterations):
-            mixture, scale = _floored(mixture, sensor)
             if len(mixture.weight) == 0:
                 break
-            at = mixture.mean[:2]
-            reach = REACH * scale[:2]
-            near = reaching(blocks, at - reach, at + reach)
-            mass, mean, cov, *_ = em_step(
-                blocks.state, blocks.weight, nothing, mixture, near, known
+            mixture, scale = _refitted(blocks, known, mixture, sensor, REACH * scale[:2])
+        return mixture
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedMixture(_Extraction):
+    """Settings of the Gaussian mixture extraction as M09 prints it [M09 §III-B].
+
+    Components start on the detections, and nowhere else, and EM fits them to all particles until
+    they rest: mass that no detection is near belongs to the components that explain it best,
+    however far they are. M09 prints no mass above which a component is divided, so none is.
+
+    Parameters
+    ----------
+    min_weight : components of less mass are not targets; M09's 0.5.
+    iterations : EM iterations at most: more than it takes until the components rest.
+    """
+
+    min_weight: Positive = 0.5
+    iterations: PositiveCount = 30
+
+    def _peaks(self, state: Intensity, z: F8, model: Model, *, counting: bool) -> Estimates:
+        """The components heavy enough; none in a frame without detections to start from."""
+        lightest = LIGHTEST_COMPONENT if counting else self.min_weight
+        if state.mass < lightest or z.shape[1] == 0:
+            return Estimates.empty(model.motion.dim)
+        sensor = model.sensor
+        blocks = known_blocks(state)
+        known = block_moments(blocks)
+        centres = sensor.states(z)[0]
+        scales = np.ascontiguousarray(sensor.noise(centres).T)
+        start = kmeans(
+            blocks, np.ascontiguousarray(centres.T), scales, Rule(UNBOUNDED, math.inf, 0)
+        )
+        mixture, scale = _floored(start, sensor)
+        for _ in range(self.iterations):
+            fitted, scale = _refitted(blocks, known, mixture, sensor, UNBOUNDED)
+            rests = len(fitted.weight) == len(mixture.weight) and bool(
+                (np.abs(fitted.mean - mixture.mean) < RESTING * scale).all()
             )
-            mixture = Gaussians(mass, mean, cov)
-        return _floored(mixture, sensor)[0]
+            mixture = fitted
+            if rests:
+                break
+        return finish(kept(mixture, mixture.weight >= lightest), z, model)
 
 
 @dataclass(frozen=True, slots=True)
@@ -384,6 +421,18 @@ def _floored(mixture: Gaussians, sensor: Sensor) -> tuple[Gaussians, F8]:
     mixture = mixture if alive.all() else kept(mixture, alive)
     scale = sensor.noise(mixture.mean)
     return mixture._replace(covariance=with_floor(mixture.covariance, scale)), scale
+
+
+def _refitted(
+    blocks: Blocks, known: Gaussians, mixture: Gaussians, sensor: Sensor, reach: F8 | float
+) -> tuple[Gaussians, F8]:
+    """One EM iteration with components that reach this far in position, (2, k) pixels or a number
+    for all; the floored mixture, and the noise (d, k) at its means [M09 §III-B].
+    """
+    at = mixture.mean[:2]
+    near = reaching(blocks, at - reach, at + reach)
+    mass, mean, cov, *_ = em_step(blocks.state, blocks.weight, np.zeros(0), mixture, near, known)
+    return _floored(Gaussians(mass, mean, cov), sensor)
 
 
 def _divided(mixture: Gaussians, sensor: Sensor, split: float) -> Gaussians:
