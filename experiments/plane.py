@@ -9,7 +9,7 @@ except ``motion.kind=plane`` and the camera.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -323,10 +323,84 @@ def figures(outcomes: dict[GroundRun, GroundErrors], seeds: int) -> dict[str, ob
             (*_HEAD, "MOTA", "IDF1", "RMSE, m", "median, m", f"within {NEAR:g} m"), ground
         ),
         "counts": table((*_HEAD, "mass", "states", "bias of the mass"), counts),
+        "changes": table(_CHANGED, changes(each)),
     }
 
 
 _HEAD = ("detections", "world", "filter", "occlusion")
+_CHANGED = (
+    "change",
+    "filter",
+    "detections",
+    "MOTA, ground",
+    "IDF1, ground",
+    "RMSE, m",
+    "MOTA, image",
+    "IDF1, image",
+    "error of the states",
+)
+
+
+def changes(each: Mapping[tuple[str, int], Sequence[GroundErrors]]) -> list[tuple[str, ...]]:
+    """What a change of one thing does to the scores, a row for each pair of variants that were
+    run and set of detections.
+
+    Parameters
+    ----------
+    each : by detections and variant, the outcome of each seed.
+    """
+    return [
+        (words, name, kind, *_differences(each[kind, place_of(new)], each[kind, place_of(old)]))
+        for words, name, new, old in pairs_of_variants()
+        for kind in dict.fromkeys(kind for kind, _ in each)
+        if (kind, place_of(new)) in each and (kind, place_of(old)) in each
+    ]
+
+
+def pairs_of_variants() -> list[tuple[str, str, Variant, Variant]]:
+    """The changes, the filters, and the variants with and without them."""
+    found = []
+    for words, changed in (
+        ("on the ground, not in the image", {"plane": False, "occlusion": False}),
+        ("occlusion in p_D", {"occlusion": False}),
+    ):
+        found += [
+            (words, one.name, one, replace(one, **changed))
+            for one in VARIANTS
+            if one.plane and one.occlusion and replace(one, **changed) in VARIANTS
+        ]
+    plain, cardinalised, apart = (
+        next(one for one in VARIANTS if one.name == name)
+        for name in ("GM-PHD", "GM-CPHD", "GM-PHD, not joined")
+    )
+    return [
+        *found,
+        ("states joined", "GM-PHD", plain, apart),
+        ("cardinalised", "GM-PHD", cardinalised, plain),
+    ]
+
+
+def place_of(variant: Variant) -> int:
+    """The place of a variant in `VARIANTS`."""
+    return VARIANTS.index(variant)
+
+
+def _differences(new: Sequence[GroundErrors], old: Sequence[GroundErrors]) -> list[str]:
+    """Differences of the scores, seed by seed, with their standard errors."""
+    columns = np.array(
+        [
+            (
+                a.ground.mota - b.ground.mota,
+                a.ground.idf1 - b.ground.idf1,
+                a.ground.rmse - b.ground.rmse,
+                a.own[0] - b.own[0],
+                a.own[1] - b.own[1],
+                a.states - b.states,
+            )
+            for a, b in zip(new, old, strict=True)
+        ]
+    )
+    return [with_error(column.tolist(), sign="+") for column in columns.T]
 
 
 def _head(kind: str, variant: Variant) -> tuple[str, ...]:

@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments.plane import Places, errors, ground_scene, with_detections
+from experiments.plane import (
+    VARIANTS,
+    GroundErrors,
+    GroundScores,
+    Places,
+    changes,
+    errors,
+    ground_scene,
+    pairs_of_variants,
+    with_detections,
+)
 from phdtrack.metrics.matching import tracking_mapping
 from phdtrack.types import Detections, DetectionTable, Tracks
 
@@ -51,3 +61,41 @@ def test_rows_take_the_boxes_of_their_detections() -> None:
         own[2].tolist(),
     ]
     assert (own == 3.0).all()
+
+
+def outcome(mota: float, states: float) -> GroundErrors:
+    """A run with this MOTA on the ground and error of the number of states."""
+    return GroundErrors(
+        (0.5, 0.6), (0.4, 0.4), GroundScores(mota, 0.7, 0.3, 0.2, 0.9), 1, states, 0
+    )
+
+
+def test_changes_are_differences_seed_by_seed() -> None:
+    """The particle filter with and without occlusion; other variants were not run."""
+    new, old = (
+        next(
+            place
+            for place, one in enumerate(VARIANTS)
+            if one.random and one.plane and one.occlusion is wanted
+        )
+        for wanted in (True, False)
+    )
+    each = {
+        ("public", new): [outcome(0.8, 1.0), outcome(0.9, 1.0)],
+        ("public", old): [outcome(0.7, 1.5), outcome(0.6, 1.5)],
+    }
+    (row,) = changes(each)
+    assert row[:3] == ("occlusion in p_D", "particle PHD", "public")
+    assert row[3] == "+0.200 ± 0.100"
+    assert row[-1] == "-0.500 ± 0.000"
+
+
+def test_pairs_of_variants_differ_in_what_is_changed() -> None:
+    pairs = [(words, name) for words, name, _, _ in pairs_of_variants()]
+    assert [name for words, name in pairs if words.startswith("on the ground")] == [
+        "GM-PHD",
+        "particle PHD",
+        "PMB",
+    ]
+    assert ("states joined", "GM-PHD") in pairs
+    assert ("cardinalised", "GM-PHD") in pairs
