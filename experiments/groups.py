@@ -6,7 +6,7 @@ stop and square (`experiments.walked_scenes`). Detections are simulated from the
 positions: noise of 0.2 m, one of ten missed, Poisson clutter over the walked ground. The GM-PHD
 filter on the plane has these rates and default settings otherwise; it runs once per seed and its
 people are grouped under every pair of thresholds. No threshold is chosen: E13's own 2 m and 1 m/s
-are marked.
+are marked. Of groups by pairs one setting is judged on places that were left out.
 """
 
 from __future__ import annotations
@@ -48,8 +48,22 @@ CLUTTER = 0.5
 CROWD = 3
 # States farther than this from all true positions are false, metres.
 WITHIN = 1.0
+# `Pairs.path` that the left-out figures choose among: the default, evidence by seconds alone, as it
+# was before, half and twice the default.
+SECONDS = 1e-6
+PATHS = (Pairs().path, SECONDS, Pairs().path / 2, 2 * Pairs().path)
 # Scores of groups by pairs, by kind of people, and whether only past and present frames count.
 PairScores = dict[tuple[str, str], GroupScores]
+
+
+@dataclass(frozen=True, slots=True)
+class PairOutcome:
+    """Groups by pairs of one run: ``scores`` with default settings; F1 of all frames by kind of
+    people and `Pairs.path` in ``tried``.
+    """
+
+    scores: PairScores
+    tried: dict[tuple[str, float], float]
 
 
 def known_people(state: F8) -> GaussianMixture:
@@ -96,14 +110,13 @@ class KnownPeople:
 class GroupOutcome:
     """``people``: accuracy of each kind of people, by name; ``grid``: scores of frames for each
     pair of thresholds; ``held``: scores of groups over time with E13's thresholds, by kind of
-    people with an identity and hold time; ``pairs``: scores of groups by pairs, by kind of people,
-    and whether only past and present frames count.
+    people with an identity and hold time; ``pairs``: groups by pairs.
     """
 
     people: dict[str, KnownPeople]
     grid: dict[tuple[float, float], GroupScores]
     held: dict[tuple[str, float], GroupScores]
-    pairs: PairScores
+    pairs: PairOutcome
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -359,6 +372,19 @@ def both(where: WalkedScene, kind: str, walkers: Sequence[Walkers]) -> PairScore
     }
 
 
+def paired(people: Iterable[tuple[str, WalkedScene, Sequence[Walkers]]]) -> PairOutcome:
+    """Groups by pairs of some kinds of people, with default settings and with the other `PATHS`."""
+    scores: PairScores = {}
+    tried = {}
+    for kind, where, walkers in people:
+        scores |= both(where, kind, walkers)
+        tried[kind, PATHS[0]] = scores[kind, "all"].f1()
+        for path in PATHS[1:]:
+            labels = Pairs(path=path).over_time(walkers)
+            tried[kind, path] = by_pairs(where, walkers, labels).f1()
+    return PairOutcome(scores, tried)
+
+
 def found_of(where: WalkedScene, frames: Sequence[Seen], name: str) -> KnownPeople:
     """The accuracy of the people of kind ``name``."""
     place = [np.zeros(0)]
@@ -399,11 +425,11 @@ def work(job: GroupRun) -> GroupOutcome:
     if job.seed < 0:
         frames = known(where)
         crowd = folded(where, CROWD)
-        paired = both(where, KNOWN, known_walkers(where)) | both(
-            crowd, IN_CROWD, known_walkers(crowd)
+        pairs = paired(
+            [(KNOWN, where, known_walkers(where)), (IN_CROWD, crowd, known_walkers(crowd))]
         )
     else:
-        paired = both(where, CORRECTED, tracked(where, job.seed))
+        pairs = paired([(CORRECTED, where, tracked(where, job.seed))])
         settings = settings_of(where)
         info = SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), job.sequence)
         stages = config.build(settings, info, "gm-phd")
@@ -427,14 +453,14 @@ def work(job: GroupRun) -> GroupOutcome:
         if name != STATES
         for hold in HOLDS
     }
-    return GroupOutcome({name: found_of(where, frames, name) for name in names}, grid, held, paired)
+    return GroupOutcome({name: found_of(where, frames, name) for name in names}, grid, held, pairs)
 
 
-def simulated_pairs(job: GroupRun) -> PairScores:
-    """Scores of groups by pairs in a simulated place, one for each seed."""
+def simulated_pairs(job: GroupRun) -> PairOutcome:
+    """Groups by pairs in a simulated place, one for each seed."""
     where = simulated(job.sequence, job.seed)
-    return both(where, KNOWN, known_walkers(where)) | both(
-        where, CORRECTED, tracked(where, job.seed)
+    return paired(
+        [(KNOWN, where, known_walkers(where)), (CORRECTED, where, tracked(where, job.seed))]
     )
 
 
@@ -452,10 +478,15 @@ def main(options: Options) -> Path:
 
 
 def figures(
-    outcomes: dict[GroupRun, GroupOutcome], places: dict[GroupRun, PairScores], seeds: int
+    outcomes: dict[GroupRun, GroupOutcome], places: dict[GroupRun, PairOutcome], seeds: int
 ) -> dict[str, object]:
     """The values of the page's placeholders."""
     sources = _sources(outcomes, seeds)
+    by_place = [(name, [out.pairs for out in found]) for name, _, found in sources]
+    by_place += [
+        (name, [out for run, out in places.items() if run.sequence == name]) for name in SIMULATED
+    ]
+    left = left_out(tried_by_place(by_place))
     return {
         "seeds": seeds,
         "noise": NOISE,
@@ -488,19 +519,12 @@ def figures(
                 "recall",
                 "identity switches",
             ),
-            [
-                row
-                for name, _, found in sources
-                for row in _pair_rows(name, [out.pairs for out in found])
-            ]
-            + [
-                row
-                for name in SIMULATED
-                for row in _pair_rows(
-                    name, [scores for run, scores in places.items() if run.sequence == name]
-                )
-            ],
+            [row for name, runs in by_place for row in _pair_rows(name, runs)],
         ),
+        "paths": ", ".join(_path(path) for path in PATHS),
+        "left_out": _left_out_table(left),
+        "mean_default": f"{np.mean([one.default for one in left]):.3f}",
+        "mean_left_out": f"{np.mean([one.left_out for one in left]):.3f}",
         "crowd": CROWD,
         "lives": table(
             ("sequence", "people", "hold, s", "F1", "precision", "recall", "identity switches"),
@@ -516,7 +540,78 @@ def figures(
                 for kind, hold in found[0].held
             ],
         ),
+        "own": "{:g} m and {:g} m/s".format(*OWN),
+        "compared": _compared_table(sources),
     }
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """F1 of one kind of people in a place: with the ``default`` settings, and with the ``path``
+    that is best in the other places.
+    """
+
+    place: str
+    kind: str
+    default: float
+    path: float
+    left_out: float
+
+
+# F1 of all frames, the mean over the seeds, by place, kind of people and `Pairs.path`.
+Tried = dict[tuple[str, str, float], float]
+
+
+def tried_by_place(by_place: Iterable[tuple[str, Sequence[PairOutcome]]]) -> Tried:
+    """The means over the runs of each place."""
+    return {
+        (name, kind, path): float(np.mean([run.tried[kind, path] for run in runs]))
+        for name, runs in by_place
+        for kind, path in runs[0].tried
+    }
+
+
+def left_out(tried: Tried) -> list[LeftOut]:
+    """For each place the path with the highest mean F1 over the kinds of people in the others, and
+    what it gives in this one; of equal ones the first.
+    """
+    out = []
+    for place, kind in dict.fromkeys((place, kind) for place, kind, _ in tried):
+        others = dict.fromkeys((name, who) for name, who, _ in tried if name != place)
+        best = max(PATHS, key=lambda path: sum(tried[name, who, path] for name, who in others))
+        scores = tried[place, kind, PATHS[0]], tried[place, kind, best]
+        out.append(LeftOut(place, kind, scores[0], best, scores[1]))
+    return out
+
+
+def _path(path: float) -> str:
+    return "by seconds alone" if path == SECONDS else f"{path:g} m"
+
+
+def _left_out_table(found: Sequence[LeftOut]) -> str:
+    return table(
+        ("sequence", "people", "F1, defaults", "chosen on the others", "F1, left out"),
+        [
+            (one.place, one.kind, f"{one.default:.3f}", _path(one.path), f"{one.left_out:.3f}")
+            for one in found
+        ],
+    )
+
+
+def _compared_table(sources: Sequence[tuple[str, str, list[GroupOutcome]]]) -> str:
+    """F1 with E13's thresholds and with the best ones; precision and recall with E13's."""
+    rows = []
+    for name, source, found in sources:
+        grid = {
+            thresholds: float(np.mean([out.grid[thresholds].f1() for out in found]))
+            for thresholds in found[0].grid
+        }
+        near, slow = max(grid, key=lambda thresholds: grid[thresholds])
+        own = _means([out.grid[OWN] for out in found])
+        rows.append((name, source, *own, f"{near:g} m, {slow:g} m/s", f"{grid[near, slow]:.3f}"))
+    return table(
+        ("sequence", "people", "F1", "precision", "recall", "best in the grid", "F1 there"), rows
+    )
 
 
 def _sources(
@@ -566,17 +661,17 @@ def _switches(found: Sequence[GroupOutcome], kind: str, hold: float) -> str:
     return with_error([float(outcome.held[kind, hold].switches) for outcome in found], 1)
 
 
-def _pair_rows(name: str, found: Sequence[PairScores]) -> list[tuple[str, ...]]:
+def _pair_rows(name: str, found: Sequence[PairOutcome]) -> list[tuple[str, ...]]:
     """A row of the table of groups by pairs for each kind of people, of some runs."""
     return [
         (
             name,
             kind,
             when,
-            *_means([scores[kind, when] for scores in found]),
-            with_error([float(scores[kind, when].switches) for scores in found], 1),
+            *_means([out.scores[kind, when] for out in found]),
+            with_error([float(out.scores[kind, when].switches) for out in found], 1),
         )
-        for kind, when in found[0]
+        for kind, when in found[0].scores
     ]
 
 

@@ -10,6 +10,8 @@ from experiments.groups import (
     DETECTION,
     KNOWN,
     NOISE,
+    PATHS,
+    PairOutcome,
     People,
     Seen,
     both,
@@ -18,9 +20,12 @@ from experiments.groups import (
     found_of,
     known,
     known_walkers,
+    left_out,
     membership,
     over_time,
+    paired,
     read_groups,
+    tried_by_place,
 )
 from experiments.walked_scenes import SIMULATED, WalkedScene, simulated
 from phdtrack.formats.known_positions import KnownPositions
@@ -112,3 +117,24 @@ def test_groups_are_found_on_a_simulated_square() -> None:
     scores = both(where, "people", known_walkers(where))
     assert scores["people", "all"].f1() > 0.84
     assert scores["people", "so far"].f1() > 0.8
+
+
+def test_a_left_out_place_does_not_choose_its_setting() -> None:
+    """The last path is by far the best in the first place, the second one in all others."""
+    best = {"here": PATHS[-1], "there": PATHS[1], "yonder": PATHS[1]}
+    by_place = [
+        (name, [PairOutcome({}, {("people", path): 0.5 + 0.3 * (path == at) for path in PATHS})])
+        for name, at in best.items()
+    ]
+    found = {one.place: one for one in left_out(tried_by_place(by_place))}
+    assert (found["here"].path, found["here"].left_out) == (PATHS[1], 0.5)
+    assert found["here"].default == 0.5
+    # "here" and "yonder" are even, and the first path of those wins.
+    assert found["there"].path == PATHS[1]
+
+
+def test_the_first_path_is_the_default_one() -> None:
+    where = simulated("stop", 7, duration=40.0)
+    found = paired([("people", where, known_walkers(where))])
+    assert found.tried["people", PATHS[0]] == found.scores["people", "all"].f1()
+    assert {path for _, path in found.tried} == set(PATHS)
