@@ -15,6 +15,7 @@ import numpy as np
 from experiments.claims import MENDED, WORDS, Claim
 from experiments.common import table
 from experiments.d14_runs import IN_ALL, CorridorRun, RunErrors
+from experiments.verdicts import all_hold, most_hold, over_seeds, with_seeds
 from phdtrack.types import F8
 
 PHD, MCMC = "SMC PHD", "MCMC greedy"
@@ -46,17 +47,32 @@ PRINTED: Mapping[float, Mapping[int, tuple[Cells, float, Cells, float]]] = {
 Results = Mapping[CorridorRun, RunErrors]
 
 
-def squares(
+def each_square(
     results: Results, name: str, number: int, variance: float, seeds: int, of: str = "truth"
 ) -> F8:
-    """(G,) mean squared errors of the targets, per axis, over the seeds: to the ``truth``, or to
-    the ``measurement``.
+    """(seeds, G) mean squared errors of the targets, per axis: to the ``truth``, or to the
+    ``measurement``; NaN for a target that was never located.
     """
-    each = [
-        getattr(results[CorridorRun(WORLD, name, number, variance, seed)], of) ** 2
-        for seed in range(seeds)
-    ]
-    return np.asarray(np.nanmean(each, axis=0))
+    return np.array(
+        [
+            getattr(results[CorridorRun(WORLD, name, number, variance, seed)], of) ** 2
+            for seed in range(seeds)
+        ]
+    )
+
+
+def squares(results: Results, name: str, number: int, variance: float, seeds: int) -> F8:
+    """(G,) mean squared errors of the targets to the truth, per axis, over the seeds."""
+    return _known_mean(each_square(results, name, number, variance, seeds))
+
+
+def _known_mean(values: F8) -> F8:
+    """The means over the first axis of the values that are numbers; NaN without any."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    mean: F8 = np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
+    return mean
 
 
 def cells_table(results: Results, numbers: Sequence[int], seeds: int) -> str:
@@ -99,124 +115,148 @@ def claims(results: Results, numbers: Sequence[int], seeds: int) -> list[Claim]:
     """D14's claims, word by word and with the sampler in place of the chain as printed."""
 
     def mine(name: str, number: int, variance: float) -> F8:
-        return squares(results, name, number, variance, seeds)
+        return each_square(results, name, number, variance, seeds)
 
     def detected(name: str, number: int, variance: float) -> F8:
-        return squares(results, name, number, variance, seeds, "measurement")
+        return each_square(results, name, number, variance, seeds, "measurement")
 
-    out = []
-    for form, chain in ((WORDS, MCMC), (MENDED, SAMPLER)):
-        out.append(_order("the truth", form, numbers, mine, chain))
-    out.append(_order("the detections", WORDS, numbers, detected, MCMC))
-    for form, chain in ((WORDS, MCMC), (MENDED, SAMPLER)):
-        out.append(_saturates(form, numbers, mine, chain))
-    out.append(_falls(numbers, mine))
-    for form, chain in ((WORDS, MCMC), (MENDED, SAMPLER)):
-        out.append(_doubles(form, numbers, mine, chain))
-    return [*out, _faster(results, numbers, seeds)]
+    chains = ((WORDS, MCMC), (MENDED, SAMPLER))
+    return [
+        *(_order("the truth", form, numbers, mine, chain) for form, chain in chains),
+        _order("the detections", WORDS, numbers, detected, MCMC),
+        *(_saturates(form, numbers, mine, chain) for form, chain in chains),
+        _falls(numbers, mine),
+        *(_doubles(form, numbers, mine, chain) for form, chain in chains),
+        _faster(results, numbers, seeds),
+    ]
 
 
+# (seeds, G) errors of a filter with a number of samples, for a variance.
 Errors = Callable[[str, int, float], F8]
 
 
+def _judged(claim: str, printed: str, form: str, figures: str, gaps: Mapping[str, F8]) -> Claim:
+    """A claim about differences (seeds,), positive if as claimed, by setting."""
+    seeds = len(next(iter(gaps.values())))
+    verdicts = {name: over_seeds(each.tolist()) for name, each in gaps.items()}
+    return Claim(claim, printed, form, with_seeds(figures, seeds), verdicts)
+
+
 def _order(of: str, form: str, numbers: Sequence[int], mine: Errors, chain: str) -> Claim:
-    """The SMC PHD filter has the lower error, target by target."""
+    """The SMC PHD filter has the lower error for most targets of a setting."""
     printed = [
         phd < mcmc
         for cells in PRINTED.values()
         for of_mcmc, _, of_phd, _ in cells.values()
         for phd, mcmc in zip(of_phd, of_mcmc, strict=True)
     ]
-    lower = {
-        f"σ² = {variance:g}, N = {number}": mine(PHD, number, variance)
-        < mine(chain, number, variance)
+    gaps = {
+        f"σ² = {variance:g}, N = {number}": mine(chain, number, variance)
+        - mine(PHD, number, variance)
         for variance in PRINTED
         for number in numbers
     }
-    won = np.concatenate(list(lower.values()))
+    won = np.concatenate([_known_mean(each) > 0 for each in gaps.values()])
+    seeds = len(next(iter(gaps.values())))
     return Claim(
         f"SMC PHD has a lower error to {of} than MCMC",
         f"in {sum(printed)} of {len(printed)} cells",
         form,
-        f"in {int(won.sum())} of {len(won)} cells",
-        {name: bool(each.mean() > 0.5) for name, each in lower.items()},
+        with_seeds(f"in {int(won.sum())} of {len(won)} cells", seeds),
+        {
+            name: most_hold(over_seeds(target[np.isfinite(target)].tolist()) for target in each.T)
+            for name, each in gaps.items()
+        },
     )
 
 
 def _saturates(form: str, numbers: Sequence[int], mine: Errors, chain: str) -> Claim:
+    """The error at the largest N is within 15 % of that at the smallest."""
     few, many = numbers[0], numbers[-1]
-    ratio = {
-        f"σ² = {variance:g}": float(
-            mine(chain, many, variance).mean() / mine(chain, few, variance).mean()
-        )
+    both = {
+        f"σ² = {variance:g}": [
+            _known_mean(mine(chain, number, variance).T) for number in (many, few)
+        ]
         for variance in PRINTED
     }
     printed = [np.mean(cells[4000][0]) / np.mean(cells[100][0]) for cells in PRINTED.values()]
-    return Claim(
+    ratios = [last.mean() / first.mean() for last, first in both.values()]
+    return _judged(
         "the MCMC filter's error hardly depends on N",
         f"{', '.join(f'{one:.2f}' for one in printed)} times from N = 100 to 4000",
         form,
-        f"{', '.join(f'{one:.2f}' for one in ratio.values())} times from N = {few} to {many}",
-        {name: bool(abs(one - 1) < 0.15) for name, one in ratio.items()},
+        f"{', '.join(f'{one:.2f}' for one in ratios)} times from N = {few} to {many}",
+        {name: 0.15 - np.abs(last / first - 1) for name, (last, first) in both.items()},
     )
 
 
 def _falls(numbers: Sequence[int], mine: Errors) -> Claim:
+    """The error falls in every step from one N to the next."""
     steps = {
-        f"σ² = {variance:g}": [float(mine(PHD, number, variance).mean()) for number in numbers]
+        f"σ² = {variance:g}": [_known_mean(mine(PHD, number, variance).T) for number in numbers]
         for variance in PRINTED
     }
     printed = [np.mean(cells[4000][2]) / np.mean(cells[100][2]) for cells in PRINTED.values()]
+    ratios = [each[-1].mean() / each[0].mean() for each in steps.values()]
+    figures = (
+        f"{', '.join(f'{one:.2f}' for one in ratios)} times from N = {numbers[0]} to {numbers[-1]}"
+    )
     return Claim(
         "the SMC PHD filter's error falls with N",
         f"{', '.join(f'{one:.2f}' for one in printed)} times from N = 100 to 4000",
         WORDS,
-        f"{', '.join(f'{each[-1] / each[0]:.2f}' for each in steps.values())} times from"
-        f" N = {numbers[0]} to {numbers[-1]}",
-        {name: all(b < a for a, b in itertools.pairwise(each)) for name, each in steps.items()},
+        with_seeds(figures, len(next(iter(steps.values()))[0])),
+        {
+            name: all_hold(over_seeds((a - b).tolist()) for a, b in itertools.pairwise(each))
+            for name, each in steps.items()
+        },
     )
 
 
 def _doubles(form: str, numbers: Sequence[int], mine: Errors, chain: str) -> Claim:
-    ratios = {
-        f"N = {number}": float(mine(chain, number, 2.0).mean() / mine(chain, number, 0.5).mean())
+    """The mean square grows three to five times if σ² grows four times."""
+    both = {
+        f"N = {number}": [_known_mean(mine(chain, number, variance).T) for variance in (2.0, 0.5)]
         for number in numbers
     }
     printed = [
         np.mean(PRINTED[2.0][number][0]) / np.mean(PRINTED[0.5][number][0])
         for number in PRINTED[2.0]
     ]
-    return Claim(
+    ratios = [high.mean() / low.mean() for high, low in both.values()]
+    return _judged(
         "the MCMC filter's figures grow with σ² as mean squares do: 4 times from 0.5 to 2",
         f"{min(printed):.1f} to {max(printed):.1f} times",
         form,
-        f"mean squares {min(ratios.values()):.1f} to {max(ratios.values()):.1f} times, roots"
-        f" {min(ratios.values()) ** 0.5:.1f} to {max(ratios.values()) ** 0.5:.1f}",
-        {name: bool(3 <= one <= 5) for name, one in ratios.items()},
+        f"mean squares {min(ratios):.1f} to {max(ratios):.1f} times, roots"
+        f" {min(ratios) ** 0.5:.1f} to {max(ratios) ** 0.5:.1f}",
+        {name: 1 - np.abs(high / low - 4) for name, (high, low) in both.items()},
     )
 
 
 def _faster(results: Results, numbers: Sequence[int], seeds: int) -> Claim:
+    """The median over the variances of the seconds of a sequence."""
     spent = {
         number: [
-            float(
-                np.median(
+            np.median(
+                [
                     [
                         results[CorridorRun(WORLD, name, number, variance, seed)].seconds
                         for variance in PRINTED
-                        for seed in range(seeds)
                     ]
-                )
+                    for seed in range(seeds)
+                ],
+                axis=1,
             )
             for name in (PHD, MCMC)
         ]
         for number in numbers
     }
-    last = spent[numbers[-1]]
-    return Claim(
+    last = [each.mean() for each in spent[numbers[-1]]]
+    return _judged(
         "SMC PHD takes less time than MCMC",
         "53 and 63 s at N = 4000",
         WORDS,
         f"{last[0]:.1f} and {last[1]:.1f} s at N = {numbers[-1]}",
-        {f"N = {number}": phd < mcmc for number, (phd, mcmc) in spent.items()},
+        {f"N = {number}": mcmc - phd for number, (phd, mcmc) in spent.items()},
     )

@@ -39,6 +39,7 @@ from experiments.m07_table import (
     jobs_of,
     scored,
 )
+from experiments.verdicts import rule
 from phdtrack.metrics import pool
 from phdtrack.report.pages import counted
 
@@ -74,6 +75,7 @@ def section(found: TableResults, judged: Sequence[Claim], options: Options) -> s
     return filled(
         "m07_printed",
         claims=claims_table(judged),
+        rule=rule(),
         seeds=counted(options.number(SEEDS, FEW), "seed"),
         pairs=table(
             ("clutter added", "case", *FOUR),

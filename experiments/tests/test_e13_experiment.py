@@ -74,9 +74,9 @@ def test_claims_of_e13_for_made_up_counts() -> None:
     found = e13.CrowdResults(results, np.full(4, 10.0), np.full(4, 3.0), (0.1,), 1)
     words = [one for one in e13.claims_of(found) if one.form == WORDS]
     mass, rounded, groups, jumps, hidden = words
-    assert (mass.ours, mass.verdict) == ("error 2.00, raw 3.00", "holds")
-    assert (rounded.ours, rounded.verdict) == ("error 2.00, raw 3.00", "holds")
-    assert groups.ours == "error 0.00, right in 100 % of the frames"
+    assert (mass.ours, mass.verdict) == ("error 2.00, raw 3.00; 1 seed", "holds")
+    assert (rounded.ours, rounded.verdict) == ("error 2.00, raw 3.00; 1 seed", "holds")
+    assert groups.ours == "error 0.00, right in 100 % of the frames; 1 seed"
     assert groups.verdict == "holds on 2 of 3, not on from weight 0.1"
     assert jumps.verdict == "does not hold"
     (mended,) = [
@@ -90,6 +90,26 @@ def test_claims_of_e13_for_made_up_counts() -> None:
     ]
     assert mended.verdict == "holds"
     jumping.mass[::2] -= 3.0
-    assert (hidden.ours, hidden.verdict) == ("error 0.50 with, 2.00 without", "holds")
-    assert "with the true people as hiders it is 2.00 (bias -2.00)" in e13.hidden_sentence(found)
+    assert (hidden.ours, hidden.verdict) == ("error 0.50 with, 2.00 without; 1 seed", "holds")
+    assert "With the true people as hiders it is 2.00 (bias -2.00)" in e13.hidden_sentence(found)
+    assert "with the people found lowers the error" in e13.hidden_sentence(found)
     assert "| 0.1 | GM-PHD | word by word | 2.00 (0 %) | 0.00 (100 %) |" in e13.weights_table(found)
+
+
+def test_claims_of_e13_have_errors_from_three_seeds_on() -> None:
+    """The count is off by two, but with p_D(x) by 0.5 to 3.9; the raw number by three."""
+    results = {
+        e13.CrowdRun(name, 0.1, seed): counts(
+            10.0 - off if "occlusion" in name else 8.0, 12.0, 7.0, (3, 3, 3)
+        )
+        for name in e13.FILTERS
+        for seed, off in enumerate((0.5, 1.0, 3.9))
+    }
+    found = e13.CrowdResults(results, np.full(4, 10.0), np.full(4, 3.0), (0.1,), 3)
+    words = [one for one in e13.claims_of(found) if one.form == WORDS]
+    assert (words[0].ours, words[0].verdict) == ("error 2.00, raw 3.00", "holds")
+    assert (words[-1].ours, words[-1].verdict) == (
+        "error 1.80 with, 2.00 without",
+        "within its error",
+    )
+    assert "changes the error by no more than its own error" in e13.hidden_sentence(found)

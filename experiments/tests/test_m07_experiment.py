@@ -171,10 +171,24 @@ def test_claims_of_table_1_are_judged_video_by_video() -> None:
     four, mota, _, low, time = claims
     assert four.where == {"TUD-Campus": False, "shop": False}, "the overlaps of the boxes are equal"
     assert mota.where == {"TUD-Campus": True, "shop": True}
-    assert mota.ours == "2 of 2 pairs, MOTA +0.20 in the median"
+    assert mota.ours == "2 of 2 pairs, MOTA +0.20 in the median; 1 seed"
     assert low.verdict == "not measured", "MT is nowhere below 0"
     # Detector, filter, rest: one and one millisecond and nothing.
     assert time.where == {"": False}
+
+
+def test_claims_of_m07_have_errors_from_three_seeds_on() -> None:
+    """MT has four false boxes; in the street the filter has none, in the shop five for one seed."""
+    false = {"street": (0, 0, 0), "shop": (0, 0, 5)}
+    scored = {}
+    for case, each in false.items():
+        scored[m07_table.TableRun(case, 0, m07_table.MT, 1)] = result(0, 4, 0)
+        for seed, boxes in enumerate(each, 1):
+            scored[m07_table.TableRun(case, 0, WORDS, seed)] = result(0, boxes, 0)
+    runs = m07_table.TableResults(scored, tuple(false), (0,))
+    claim = m07_table.ahead(runs, WORDS, 0, "made up", ("MODA", "MOTA"))
+    assert claim.ours == "4 of 4 pairs, MOTA +0.16 in the median"
+    assert claim.where == {"street": True, "shop": None}
 
 
 def test_truth_is_scaled_to_qcif_with_its_regions(monkeypatch: pytest.MonkeyPatch) -> None:
