@@ -47,7 +47,7 @@ from phdtrack.report.pages import counted
 from phdtrack.types import F8, Detections, GaussianMixture, SequenceInfo, Step, Truth
 
 INFO = SequenceInfo(768, 576, 7.0, 221, "PETS2009-S1L1-1")
-SEEDS = 20
+SEEDS = 3
 CLUTTER = (0.1, 1.0)
 PICTURED = (10, 40, 80, 120)
 # Weights from which a component counts for groups; the second is the default.
