@@ -445,7 +445,7 @@ class PMB(Checked, Filter[Bernoullis]):
         self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Bernoullis, UpdateInfo]:
         """Every target with the probabilities of the measurements that it may have, and new
-        targets [W15].
+        targets [PMB (2)–(10)].
 
         `UpdateInfo.clutter_probability` counts static clutter and clutter that lasts as false
         alarms.

@@ -12,9 +12,9 @@ the first s measurements as the node does and the s-th differently. Assignments 
 best, or below those that will fill the remaining places, are not needed; and the dual variables of
 a node bound what a part can gain before it is solved.
 
-*Marginal probabilities* by loopy belief propagation [W14; W15]. With ψ_e the odds of a pair e =
-(target, measurement) against the target being missed and the measurement being no earlier target's,
-the messages are
+*Marginal probabilities* by loopy belief propagation [W14; W15; PMB (8), (9)]. With ψ_e the odds of
+a pair e = (target, measurement) against the target being missed and the measurement being no
+earlier target's, the messages are
 
     μ_e = ψ_e / (1 + Σ_{other pairs of the target} ψ ν)
     ν_e = 1 / (1 + Σ_{other pairs of the measurement} μ)
@@ -559,7 +559,7 @@ def competing(leaf: I8, trace: I8, most: int) -> I8:
 
 @njit(**INNER)
 def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
-    """Marginal probabilities by loopy belief propagation [W14; W15; PMB (9)].
+    """Marginal probabilities by loopy belief propagation [PMB (9)].
 
     ``edges`` (E,) of `EDGE`, no pair twice, with odds ψ ≥ 0, target and measurement; μ becomes the
     probability of each pair. Returns the probabilities (T,) that each target has no measurement,

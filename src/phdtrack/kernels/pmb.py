@@ -1,4 +1,5 @@
-"""The Poisson multi-Bernoulli filter over the records of `kernels.gaussian` [W15].
+"""The Poisson multi-Bernoulli filter over the records of `kernels.gaussian` [W15; PMB (1), (3),
+(4), (7)–(14)].
 
 A target t exists with probability r, as itself or as a source of static clutter, and has hypotheses
 i of weight w_i, which are given its existence. With p_i the probability that hypothesis i is
@@ -263,7 +264,8 @@ def updated_layer(
     I8,
     tuple[Records, F4] | None,
 ]:
-    """The targets after the measurements, with new ones, and what was learned [W15].
+    """The targets after the measurements, with new ones, and what was learned [PMB (3), (4),
+    (7)–(10), (12)–(15)].
 
     Parameters
     ----------

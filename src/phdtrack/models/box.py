@@ -24,9 +24,9 @@ name is ``scaling``:
 
     σ_w = max(s·w, floor)   σ_h = max(s·h, floor)   σ_px = σ_w/2   σ_py = σ_h/2
 
-``particle``: the size of the state itself [M09]; ``detection``: the size of the detection [M07 §2];
-``fixed``: constants (M09's fair comparison, FV); ``given``: the covariance that each detection
-brings. The normaliser 1/∏σ differs per particle and is kept.
+``particle``: the size of the state itself [M09 §III]; ``detection``: the size of the detection
+[M07 §2]; ``fixed``: constants (M09's fair comparison, FV); ``given``: the covariance that each
+detection brings. The normaliser 1/∏σ differs per particle and is kept.
 
 p_D is a constant, as in the papers.
 """
@@ -308,7 +308,7 @@ class BoxMotion(Checked):
         survive. (0, 0): no such border.
     roughening : deviation that is added to the acceleration of particles alone: few particles that
         move with little noise soon have one common ancestor, which may have had a wrong velocity
-        [G93].
+        [G93 page 112].
     """
 
     acceleration: NonNegative = 0.005
