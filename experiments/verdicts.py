@@ -63,7 +63,7 @@ def with_seeds(figures: str, seeds: int) -> str:
 def rule() -> str:
     """The sentence of a page about how its claims are judged."""
     return (
-        "The verdict on a case with random runs is beyond half the 95 % interval of the mean\n"
-        "difference over the seeds (Student's t), and otherwise *within its error*; a claim from"
-        f" fewer\nthan {FEWEST} seeds says how many, and is judged by the mean."
+        "Where runs are random, a claim holds, or does not, if its mean difference over the seeds\n"
+        "exceeds half its 95 % interval (Student's t); otherwise it is *within its error*. A\n"
+        f"claim from fewer than {FEWEST} seeds names their number, and the mean decides."
     )
