@@ -106,7 +106,9 @@ def network(frames: Iterator[int]) -> np.ndarray:
 
 
 class Yolo:
-    """A model of ultralytics: results with `boxes`, each with `xyxy`, `conf` and `cls`."""
+    """A model of ultralytics: results with the size of the frame, height first, and `boxes`, which
+    have `xyxy`, `conf` and `cls`.
+    """
 
     def __init__(self, file: str) -> None:
         assert file.endswith(".pt")
@@ -118,6 +120,7 @@ class Yolo:
             found = network(frames)
             people = found[found[:, 5] == 1]
             yield SimpleNamespace(
+                orig_shape=(360, 640),
                 boxes=SimpleNamespace(xyxy=people[:, :4], conf=people[:, 4], cls=people[:, 5]),
                 obb=None,
             )
@@ -156,6 +159,15 @@ STAND_INS: dict[str, dict[str, Any]] = {
 REAL = ("supervision", "norfair")
 
 
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let programs import the stand-ins, except for packages that are installed and real."""
+    for name, members in STAND_INS.items():
+        if name not in REAL or find_spec(name) is None:
+            module = ModuleType(name)
+            module.__dict__.update(members)
+            monkeypatch.setitem(sys.modules, name, module)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", NAMES)
 def test_commands_and_programs_of_a_page_run(
@@ -165,11 +177,7 @@ def test_commands_and_programs_of_a_page_run(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name, members in STAND_INS.items():
-        if name not in REAL or find_spec(name) is None:
-            module = ModuleType(name)
-            module.__dict__.update(members)
-            monkeypatch.setitem(sys.modules, name, module)
+    stand_in(monkeypatch)
     work = tmp_path / "work"
     shutil.copytree(scene, work)
     monkeypatch.chdir(work)
@@ -212,14 +220,38 @@ def test_pages_have_something_to_run_and_are_listed() -> None:
     assert all((PAGES / link).is_file() for link in links)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/architecture.md", "docs/api/setting-types.md"])
-def test_programs_of_the_front_pages_run(page: str) -> None:
+def programs(page: str) -> list[str]:
+    """The programs on a page of the project."""
     text = (ROOT / page).read_text(encoding="utf-8")
+    return [m[2] for m in BLOCK.finditer(text) if m[1] == "python"]
+
+
+@pytest.mark.parametrize("page", ["docs/architecture.md", "docs/api/setting-types.md"])
+def test_programs_of_the_front_pages_run(page: str) -> None:
     names = {"__name__": "__main__"}
-    programs = [m[2] for m in BLOCK.finditer(text) if m[1] == "python"]
-    assert programs
-    for program in programs:
+    assert programs(page)
+    for program in programs(page):
         exec(compile(program, page, "exec"), names)
+
+
+@pytest.mark.parametrize(("number", "objects"), [(0, 1), (1, 2)])
+def test_each_program_of_the_readme_runs_alone(
+    number: int,
+    objects: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It is pasted into a file of its own, beside a video."""
+    stand_in(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    Path("video.mp4").touch()
+    found = programs("README.md")
+    assert len(found) == 2
+    exec(compile(found[number], "README.md", "exec"), {"__name__": "__main__"})
+    printed = re.findall(r"(\d+) \[ *[\d.-]+(?: +[\d.-]+){3}\]", capsys.readouterr().out)
+    assert len(printed) > 20 * objects
+    assert set(printed) == {str(k + 1) for k in range(objects)}
 
 
 @pytest.mark.parametrize(

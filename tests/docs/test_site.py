@@ -124,12 +124,81 @@ def test_table_of_filters_has_the_figures_of_the_results():
         ), name
 
 
+# Rows of the README's table, and the groups that they are on the page of cameras.
+GROUPS = {
+    "pedestrians, still camera": "ped-static",
+    "pedestrians, moving camera": "ped-moving",
+    "dancers": "dance",
+    "cars, from a car": "cars",
+    "players": "players",
+    "aerial views": "aerial",
+    "cells": "cells",
+}
+
+
+def table_rows(text: str) -> list[list[str]]:
+    """The cells of each row of a text's tables."""
+    lines = re.findall(r"^\| (.*) \|$", text, re.MULTILINE)
+    return [line.split(" | ") for line in lines]
+
+
 def test_readme_has_the_figures_of_the_regimes():
     page = " ".join((DOCS / "results" / "regimes.md").read_text().split())
     readme = " ".join((DOCS.parent / "README.md").read_text().split())
+    scenes = re.search(r"(\d+) scenes of a grid", page)
     grid = re.search(r"in (\d+) of them, and \*ahead\* by 0.02 or more in MOTA in (\d+)", page)
+    assert scenes
     assert grid
-    assert f"OC-SORT in {grid[1]}, and MOTA is 0.02 or more ahead in {grid[2]} " in readme
+    behind = "none" if grid[1] == "0" else grid[1]
+    assert f"In {behind} of {scenes[1]} [simple simulated scenes]" in readme
+    assert f"OC-SORT; in {grid[2]} MOTA is 0.02 or more ahead." in readme
+
+
+def test_readme_has_the_figures_of_the_cameras():
+    """Each cell of its table, and the numbers of comparisons."""
+    page = (DOCS / "results" / "cameras.md").read_text()
+    readme = (DOCS.parent / "README.md").read_text()
+    measured = {
+        group: [peer, *own]
+        for group, peer, _, *own in (row[:6] for row in table_rows(page) if len(row) == 9)
+    }
+    shown = {row[0].partition(" (")[0]: row for row in table_rows(readme)}
+    assert {name: shown[name][1:] for name in GROUPS} == {
+        name: measured[group] for name, group in GROUPS.items()
+    }
+    won = dict(re.findall(r"^\| ((?:default|left out) \| \w+) \| (\d+ of \d+) \|", page, re.M))
+    online, of = won["default | online"].split(" of ")
+    left, delayed, corrected = (
+        won[rows].removesuffix(f" of {of}")
+        for rows in ("left out | online", "default | delayed", "default | corrected")
+    )
+    text = " ".join(readme.split())
+    assert f"in {online} of {of} comparisons ({left} with settings chosen on the other" in text
+    assert f" 0.3 s later in {delayed}, corrected in {corrected}." in text
+    # Three scores of each case.
+    cases = [int(shown[name][0].partition("(")[2].split(")")[0].split()[0]) for name in GROUPS]
+    assert 3 * sum(cases) == int(of)
+    peers = re.search(r"the best of (\d+) motion-only", page)
+    assert peers
+    assert f"the best of up to {peers[1]} motion-only trackers" in text
+
+
+def test_readme_says_where_online_rows_are_behind():
+    page = (DOCS / "results" / "cameras.md").read_text()
+    text = " ".join((DOCS.parent / "README.md").read_text().split())
+    behind = {}
+    for row in table_rows(page):
+        if len(row) == 9 and row[0] in GROUPS.values():
+            peer, own = ([float(value) for value in row[k].split("/")] for k in (1, 3))
+            scores = zip(("HOTA", "MOTA", "IDF1"), own, peer, strict=True)
+            behind[row[0]] = [name for name, ours, best in scores if ours < best]
+    assert {group: scores for group, scores in behind.items() if scores} == {
+        "cells": ["HOTA", "MOTA", "IDF1"],
+        "ped-moving": ["MOTA"],
+    }
+    assert "behind on cells (all three), on pedestrians from a moving camera (MOTA)" in text
+    (dance,) = [row for row in table_rows(page) if row[:2] == ["online", "dance"] and "HOTA" in row]
+    assert f"one of five dances (by {float(dance[5]) - float(dance[4]):.0f} HOTA)" in text
 
 
 def test_means_on_worse_detections_are_above_the_best_peer():
