@@ -341,3 +341,26 @@ def test_search_works_in_files(browser, site: Path, words: str, expected: str):
         links = page.locator(".md-search-result__link").evaluate_all("all => all.map(a => a.href)")
         assert any("/api/setting" in link for link in links), links
     page.close()
+
+
+@pytest.mark.slow
+@needs_browser
+@pytest.mark.parametrize("width", [390, 1280])
+def test_code_is_not_wider_than_its_box(browser, site: Path, width: int) -> None:
+    """On a telephone and on a desk: no line of code has to be scrolled sideways."""
+    page = browser.new_page(viewport={"width": width, "height": 800})
+    blocks = 0
+    wide = {}
+    for path in sorted(site.rglob("*.html")):
+        page.goto(path.as_uri())
+        boxes = page.locator("pre").evaluate_all(
+            "all => all.flatMap(pre => [pre, ...pre.querySelectorAll('code')])"
+            ".filter(box => box.clientWidth)"
+            ".map(box => [box.scrollWidth - box.clientWidth, box.textContent.slice(0, 60)])"
+        )
+        blocks += len(boxes)
+        if found := [text for excess, text in boxes if excess > 0]:
+            wide[path.relative_to(site).as_posix()] = found
+    page.close()
+    assert blocks > 100
+    assert wide == {}
