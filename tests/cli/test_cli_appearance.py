@@ -370,4 +370,4 @@ def test_live_cameras_read_colours() -> None:
 def test_commands_that_track_have_the_option(command: str) -> None:
     said = CliRunner().invoke(application(command), [command, "--help"])
     text = " ".join(said.stdout.split())
-    assert "--appearance NAME What boxes look like tells who is who: colours" in text
+    assert "--appearance NAME Tell objects apart by how they look: by their colours" in text

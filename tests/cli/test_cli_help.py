@@ -15,7 +15,8 @@ from cli_runner import phdtrack
 from phdtrack.cli.app import COMMANDS, application
 from phdtrack.cli.help_pages import PAGES
 
-PANELS = ("Input", "Detector", "Tracking", "Output", "More")
+PANELS = ("Input", "Detector", "Tracking", "Output", "File formats", "More")
+ROOT = Path(__file__).resolve().parents[2]
 # What internal notation of ranges and defaults looks like.
 NOTATION = re.compile(r"\[default|\[required|x[<>]=|<=x|<str>|<int>|<path>|list\[")
 
@@ -87,7 +88,7 @@ def test_every_option_stands_in_a_panel_once(name: str) -> None:
 def test_panels_come_in_one_order(name: str) -> None:
     usual = [title for title in panels(page(name)) if title in PANELS]
     assert usual == [title for title in PANELS if title in usual]
-    assert set(PANELS) - {*usual} <= {"Input"}
+    assert set(PANELS) - {*usual} <= {"Input", "File formats"}
 
 
 def test_options_of_track_begin_with_those_of_most_use() -> None:
@@ -97,8 +98,34 @@ def test_options_of_track_begin_with_those_of_most_use() -> None:
         "Detector": "detector",
         "Tracking": "classes",
         "Output": "out",
+        "File formats": "format",
         "More": "seed",
     }
+    assert found["Input"] == ["detections", "truth", "frames", "fps", "frame-size"]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_conventions_of_files_have_a_panel_near_the_end(name: str) -> None:
+    found = panels(page(name))
+    conventions = {"format", "first-frame", "units", "box", "sequence", "on-error"}
+    if conventions & {option for names in found.values() for option in names}:
+        assert [*found][-2:] == ["File formats", "More"]
+        assert conventions & {*found.pop("File formats")}
+        assert not conventions & {option for names in found.values() for option in names}
+
+
+def test_help_names_no_file_of_the_sources() -> None:
+    """What pip installs has no folder docs: pages are named by their titles."""
+    for name in COMMANDS:
+        assert "docs/" not in page(name)
+    title = (ROOT / "docs" / "how-to" / "own-detector.md").read_text("utf-8").partition("\n")[0]
+    assert f'The page "{title[2:]}" of the documentation' in " ".join(page("track").split())
+
+
+def test_help_says_how_to_look_at_a_preset() -> None:
+    text = " ".join(page("track").split())
+    assert "or fv. `phdtrack settings --preset NAME` shows one." in text
+    assert phdtrack("settings", "--preset", "fv").status == 0
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -50,7 +50,7 @@ _VARIANT = (
 )
 SETS = "Sets of the folders, or files with {} in place of the sequence. Default: all sets."
 _LOOKS = (
-    "What boxes look like, read from the pictures: colours, onnx:FILE, or none. Default:"
+    "Tell objects apart by how they look: by their colours, onnx:FILE, or none. Default:"
     f" {DEFAULT_APPEARANCE}."
 )
 

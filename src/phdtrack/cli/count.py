@@ -96,11 +96,11 @@ def count(
 ) -> None:
     """Count who crosses lines and who is in zones, in and out, how many at once and for how long.
 
-    A video is tracked first, with the options of `phdtrack track`, and the directory is that of
-    `phdtrack track`; of a run, or of tracks in a file, the tracks are taken as they are. counts.csv
-    holds each event, counts.png the places and figures, counts.mp4 (--video) the same while it goes
-    on, in place of annotated.mp4. If the camera moves, lines and zones stay where they are in the
-    picture.
+    A video is tracked first, with the options of `phdtrack track`, and the directory holds what
+    that command writes, too. If SOURCE is a run, or a file of tracks, its tracks are counted as
+    they are. counts.csv lists the events, and counts.png shows the lines, zones and counts. With
+    --video, counts.mp4 shows them as they change, in place of annotated.mp4. If the camera moves,
+    lines and zones stay where they are in the picture.
     """
     watch = Watch(_places(asked), dwell=asked.dwell, leave_after=asked.leave_after)
     path = Path(source.source)

@@ -27,10 +27,7 @@ _MORE = "More"
 _PANELS = {
     "Lines and zones": "line zone places dwell leave-after",
     "Ground": "camera edges positions",
-    "Input": (
-        "detections tracks frames fps frame-size size image-size format first-frame units box"
-        " sequence on-error truth labelled"
-    ),
+    "Input": ("detections tracks truth frames fps frame-size size image-size"),
     "Detector": "detector mask max-width learn detect-again",
     "Tracking": (
         "classes filter scene camera-motion appearance reidentify-within preset config set"
@@ -41,6 +38,7 @@ _PANELS = {
         "to out overwrite resume video video-size display snapshots blur quota parquet duration"
         " all json quiet"
     ),
+    "File formats": "format first-frame units box sequence labelled on-error",
     _MORE: "seed threads max-detections checkpoint-every max-file-size version help",
 }
 _SCENE = "Examples (make the scene first: phdtrack simulate street --out street):"
@@ -50,7 +48,7 @@ _EACH_LINE = (
 )
 _BOXES = "Boxes of your own detector; no other one runs."
 _FORMATS = ", ".join(FORMATS)
-_FORMAT_ALONE = f"Format of the file, where its content does not tell: {_FORMATS}."
+_FORMAT_ALONE = f"Format of the file, if its content does not show it: {_FORMATS}."
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +73,10 @@ _POINTS = r"""printf "148 259 0 0\n493 258 6 0\n441 121 8 14\n198 121 -2 14\n" >
 _CALIBRATED = "phdtrack calibrate points.txt --out street.toml --image-size 640x360"
 PAGES = {
     "demo": HelpPage(("phdtrack demo", "phdtrack demo --out another --seed 3"), "Examples:"),
-    "track": HelpPage(("phdtrack track street/scene.mp4", _TRACKED)),
+    "track": HelpPage(
+        ("phdtrack track street/scene.mp4", _TRACKED),
+        texts={"video": "Write annotated.mp4, the video with the tracks drawn in, or not."},
+    ),
     "count": HelpPage(
         (
             "phdtrack count street/scene.mp4 --line door=320,60,320,360 --out runs/door",
@@ -90,15 +91,14 @@ PAGES = {
             "phdtrack evaluate --truth street/gt/gt.txt --tracks street/gt/gt.txt --errors",
         ),
         panels={
-            "Input": (
-                "truth tracks ignore frames frame-size format first-frame units box sequence kitti"
-            ),
+            "Input": "truth tracks ignore frames frame-size kitti",
             "Scores": "iou per-class labelled errors detections worst t-gospa rmse",
         },
         texts={
             "format": (
-                f"Format of the truth, where its content does not tell: {_FORMATS}; or of both, as"
-                " TRUTH,TRACKS. The next three take two words, too."
+                f"Format of both files, if their content does not show it: {_FORMATS}. If they"
+                " differ, write that of the truth first: kitti,mot17. The same holds for"
+                " --first-frame, --units and --box."
             ),
             "frame-size": "Size of the frames in pixels, as 1920x1080, for boxes in shares of it.",
         },
@@ -110,10 +110,7 @@ PAGES = {
         ),
         panels={
             "Methods": "filters variant preset config set scene classes appearance seeds clutter",
-            "Input": (
-                "detections detectors max-width truth labelled format first-frame units box"
-                " sequence"
-            ),
+            "Input": "detections detectors max-width truth labelled",
             "Output": "out overwrite scores iou jobs json quiet",
         },
     ),
@@ -126,7 +123,7 @@ PAGES = {
         ),
         panels={
             "Candidates": "filter preset config set variant score",
-            "Input": "detections truth frame-size fps format first-frame units box sequence",
+            "Input": "detections truth frame-size fps",
             "Output": "out overwrite jobs json quiet",
         },
     ),
@@ -168,6 +165,7 @@ PAGES = {
             "phdtrack groups street/scene.mp4 --camera street.toml --out runs/groups",
             "phdtrack groups --detections street/det/det.txt --camera street.toml --json",
         ),
+        texts={"video": "Write annotated.mp4 and plan.mp4, or not."},
     ),
     "live": HelpPage(
         (
@@ -178,7 +176,8 @@ PAGES = {
             "json": _EACH_LINE,
             "learn": "Learn where the scene flickers, with a background detector.",
             "appearance": (
-                "What boxes look like tells who is who: colours, onnx:FILE, or none (default)."
+                "Tell objects apart by how they look: by their colours, onnx:FILE (a network), or"
+                " none (default)."
             ),
             # Refused: a camera has no annotated truth.
             "truth": "",
@@ -223,6 +222,7 @@ PAGES = {
         ),
         "Examples:",
         panels={"Scene": "frames p-detect clutter places jitter set look seed"},
+        texts={"video": "Render scene.mp4, or write the truth and the detections alone."},
     ),
     "warm-up": HelpPage(("phdtrack warm-up", "phdtrack warm-up --filter gm-phd"), "Examples:"),
 }

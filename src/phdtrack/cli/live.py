@@ -83,7 +83,7 @@ class LiveOptions:
     home_assistant: Annotated[bool, typer.Option("--home-assistant", help=_HOME_ASSISTANT)] = False
     video: Annotated[
         float,
-        option("FPS", "Pictures a second of the annotated videos; 0: none.", min=0.0, max=60.0),
+        option("FPS", "Frames per second of the annotated videos; 0: none.", min=0.0, max=60.0),
     ] = 5.0
     snapshots: Annotated[int, option("N", _SNAPSHOTS, min=0, max=100_000)] = 0
     quota: Annotated[

@@ -104,7 +104,7 @@ Mask = Annotated[
     Path | None,
     option("FILE", "An image of the frame's size: boxes where it is black are left out."),
 ]
-Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos to look at, or not.")]
+Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos, or not.")]
 _VIDEO_SIZE = "Longer side of annotated.mp4 in pixels, at most; 0: as in the source."
 VideoSize = Annotated[int, option("N", _VIDEO_SIZE, min=0)]
 _FRAME_SIZE = (
@@ -112,7 +112,7 @@ _FRAME_SIZE = (
     " beside the file."
 )
 FrameSize = Annotated[str, option("WxH", _FRAME_SIZE)]
-_SEQUENCE = "The video to read of a COCO file with several; all: read them as one."
+_SEQUENCE = "Which video of a COCO file with several to read; all: read them as one."
 Sequence = Annotated[str, option("NAME", _SEQUENCE)]
 _FPS = "Frames per second. Default: from the video, or from seqinfo.ini beside the file."
 Fps = Annotated[float, option("F", _FPS, min=0.0)]
@@ -129,9 +129,13 @@ SceneFile = Annotated[Path | None, option("FILE", "What `phdtrack learn` wrote a
 TruthFile = Annotated[
     Path | None, option("FILE", "Annotated objects: the tracks are scored against them.")
 ]
+_LABELLED = (
+    "The frames to score, if --truth annotates some only: their numbers, as 1,11,21-30, or a file"
+    " with these; truth: those that have an object in --truth; all. Default: found from --truth."
+)
 Labelled = Annotated[
     str,
-    option("LIST", "Frames to score, as 1,11,21-30, or in a file; truth: those with objects; all."),
+    option("LIST", _LABELLED),
 ]
 _MARKED = "File of the marks of `phdtrack label`. Default: runs/NAME.labels.sqlite."
 Labels = Annotated[Path | None, option("FILE", _MARKED)]
@@ -145,7 +149,8 @@ Sets = Annotated[
 _PRESETS = (
     "Settings to start from: default, background, ground, points, other-filters,"
     " background-other-filters, ground-other-filters, points-other-filters, mot15, m07,"
-    " m07-extended, m09, m09-extended, m09-mht, e13, d14, or fv."
+    " m07-extended, m09, m09-extended, m09-mht, e13, d14, or fv. `phdtrack settings --preset NAME`"
+    " shows one."
 )
 Preset = Annotated[str, option("NAME", _PRESETS, autocompletion=listed(_PRESETS))]
 Frames = Annotated[
@@ -249,26 +254,27 @@ _MOST = (
 )
 MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
 _LOOKS = (
-    "What boxes look like tells who is who: colours, none, onnx:FILE, or FILE.npy with a row for"
-    " each detection. Default: what a run has kept beside --detections, or"
+    "Tell objects apart by how they look: by their colours, onnx:FILE (a network), FILE.npy (a row"
+    " for each detection), or none. Default: what a run has kept beside --detections, or"
     f" {DEFAULT_APPEARANCE}."
 )
 Appearance = Annotated[str, option("NAME", _LOOKS, autocompletion=listed(": colours, none"))]
 _RETURNS = (
-    "Seconds within which an object that was lost and looks the same gets its identity back."
-    " Default: as long as the odds allow."
+    "Seconds within which a lost object that looks the same gets its identity back. Default: no"
+    " limit; it gets it if that is likelier than a new object."
 )
 ReidentifyWithin = Annotated[float | None, option("S", _RETURNS, min=0.0)]
 
 _FORMAT = (
-    f"Format of the file, where its content does not tell: {', '.join(FORMATS)}. If there is a"
-    " truth as well, this and the next three take TRUTH,FILE."
+    f"Format of the file, if its content does not show it: {', '.join(FORMATS)}. With --truth and"
+    " --detections it is that of the detections; write two for both, that of the truth first:"
+    " kitti,mot17. The same holds for --first-frame, --units and --box."
 )
-_FIRST_FRAME = "Number that the file gives its first frame. Default: as usual in its format."
-_UNITS = "Its boxes are in pixels, or in shares of the frame's size. Default: as they look."
+_FIRST_FRAME = "Number of the first frame in the file. Default: as usual in its format."
+_UNITS = "Unit of its boxes: pixels, or shares of the frame's size. Default: as the numbers show."
 _BOX = (
-    "Its boxes are left, top, width, height; or left, top, right, bottom. Default: as usual in its"
-    " format."
+    "Columns of its boxes: left, top, width, height; or left, top, right, bottom. Default: as usual"
+    " in its format."
 )
 
 # How the fields of the requests of `phdtrack.run` are given on the command line.

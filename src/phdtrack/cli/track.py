@@ -34,7 +34,8 @@ def track(
       yolo export model=yolo11n.pt format=onnx
       phdtrack track VIDEO --detector onnx:yolo11n.onnx --classes person,car
 
-    RF-DETR: model.export() in Python. Other networks: docs/how-to/own-detector.md.
+    RF-DETR is exported by model.export() in Python. The page "Use your own detector, in your own
+    loop" of the documentation lists other networks.
 
     The run's directory holds tracks.csv (MOTChallenge), detections.csv, states.csv, annotated.mp4,
     report.html and run.json. A video that is cut short is tracked as far as it goes, with a
