@@ -1,6 +1,6 @@
 """A run as a library: from a source to tracks and the files of a directory, without a command line.
 
-    prepared = prepare(RunRequest(SourceRequest("street.mp4")))
+    prepared = prepare(RunRequest(SourceRequest("street/scene.mp4")))
     directory = claim(Path("runs/street"), overwrite=False)
     result = prepared.run(directory)
 

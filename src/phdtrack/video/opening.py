@@ -1,4 +1,6 @@
-"""From a path, pattern or address ("street.mp4", "frames/", "img/*.png", "http://…") to frames."""
+"""Frames from a path, a pattern or an address: "street/scene.mp4", "frames/", "img/*.png",
+"http://…".
+"""
 
 from __future__ import annotations
 
