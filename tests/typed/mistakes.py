@@ -1,7 +1,7 @@
 """Mistakes in programs that use phdtrack, which a type checker finds.
 
 The test expects an error of mypy in each line with a mark at its end, with the code there, and
-in no other. Nobody runs this file.
+in no other; and of basedpyright an error in the same lines. Nobody runs this file.
 """
 
 from __future__ import annotations
@@ -60,6 +60,8 @@ print(rows.bbox)  # wrong: attr-defined
 for box, identity in rows:
     print(identity, box[0])  # wrong: index
 print(tracker.step.number)  # wrong: union-attr
+if tracker.step is not None:
+    tracker.step.info.vanished = 0  # wrong: misc
 print(evaluate(read_truth("gt.txt"), rows)["MOTA"])  # wrong: index
 print(read_tracks("tracks.csv").detections)  # wrong: attr-defined
 print(read_detections("det.txt").xyxy)  # wrong: attr-defined
