@@ -20,6 +20,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
+from os import PathLike
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, dataclass_transform
 
 import numpy as np
@@ -690,6 +692,9 @@ class Tracks:
     """Rows of tracks, of one frame (online) or of a whole sequence (offline, sorted by frame, then
     identity).
 
+    `save` writes them to a file, `load` reads them from one. `phdtrack.export_tracks` and
+    `phdtrack.read_tracks` do the same with more options.
+
     Attributes
     ----------
     frame, identity : (M,) int64 from 1.
@@ -819,6 +824,39 @@ class Tracks:
             self.data,
         )
 
+    def save(
+        self, path: str | PathLike[str], kind: str = "", names: Mapping[int, str] | None = None
+    ) -> None:
+        """Write the rows to a file in the format of its suffix; replaces an existing file.
+
+        ``.csv``, ``.parquet``, ``.jsonl``, ``.json`` (COCO), ``.xml`` (CVAT) or ``.txt``
+        (MOTChallenge); `phdtrack.export_tracks` describes them. ``data`` is not saved. Raises
+        `InputError` for an unknown suffix or format, and for a file that cannot be written.
+
+        Parameters
+        ----------
+        path : the file; boxes in pixels, frames from 1 except in KITTI and CVAT.
+        kind : the format, for one that no suffix stands for, as kitti.
+        names : the names of the classes by number; None: their numbers are written.
+        """
+        import_module(_FILES).export_tracks(path, self, kind, names)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], first_frame: int | None = None) -> Tracks:
+        """The rows of a file of tracks, sorted by frame, then identity.
+
+        All formats that `save` writes, and those of other trackers: `phdtrack.read_tracks`
+        describes them. Raises `InputError` if the file is missing or malformed; the message names
+        the line.
+
+        Parameters
+        ----------
+        path : the file. The content decides the format, not the suffix.
+        first_frame : the number that the file gives the first frame; None: as usual in its format.
+        """
+        loaded: Tracks = import_module(_FILES).read_tracks(path, first_frame=first_frame)
+        return loaded
+
     def to_dataframe(self) -> Any:
         """A pandas DataFrame, a row each, with left, top, right, bottom for boxes, and `data`.
         `InputError` without pandas.
@@ -853,6 +891,9 @@ class Tracks:
         return ((int(i), box) for i, box in zip(self.identity, self.xyxy, strict=True))
 
 
+# The package that reads and writes files. It imports this module, so this one loads it by name when
+# a file is read or written.
+_FILES = "phdtrack.formats"
 # The arrays of rows, in order.
 _COLUMNS = tuple(name for name in Tracks.__slots__ if name != "data")
 

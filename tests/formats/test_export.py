@@ -109,6 +109,40 @@ def test_tracks_in_a_file_of_any_suffix_are_the_same(
     np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=1.5e-6 * scale)
 
 
+@pytest.mark.parametrize("suffix", sorted(HELD))
+@settings(max_examples=10, deadline=None)
+@given(original=tracks())
+def test_saved_tracks_load_again(
+    tmp_path_factory: pytest.TempPathFactory, suffix: str, original: Tracks
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"saved{suffix}"
+    original.save(path)
+    again = Tracks.load(path)
+    for name in HELD[suffix]:
+        np.testing.assert_allclose(
+            getattr(again, name), getattr(original, name), rtol=5e-7, atol=0, err_msg=name
+        )
+    scale = np.abs(original.xyxy).max(initial=1.0)
+    np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=1.5e-6 * scale)
+
+
+def test_saved_tracks_have_names_and_a_named_format(tmp_path: Path) -> None:
+    rows = Tracks.of(np.array([1, 2]), 7, np.array([[1.0, 2, 3, 4]] * 2), 1.0, -1)
+    rows.save(str(tmp_path / "t.csv"), names={0: "person"})
+    assert read_tracks_named(tmp_path / "t.csv")[1] == {1: "person"}
+    rows.save(tmp_path / "t.txt", "kitti")
+    assert (tmp_path / "t.txt").read_text(encoding="utf-8").startswith("0 7 ")
+    assert Tracks.load(tmp_path / "t.txt").frame.tolist() == [1, 2]
+    assert Tracks.load(tmp_path / "t.csv", first_frame=0).frame.tolist() == [2, 3]
+
+
+def test_tracks_of_an_unknown_suffix_are_not_saved(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"expected a suffix that stands for a format, got \.doc"):
+        Tracks.empty().save(tmp_path / "t.doc")
+    with pytest.raises(InputError, match="no such file"):
+        Tracks.load(tmp_path / "none.csv")
+
+
 def test_classes_without_names_keep_their_numbers(tmp_path: Path) -> None:
     boxes = np.array([[1.0, 2, 3, 4]] * 3)
     rows = Tracks.of(np.array([1, 2, 3]), np.array([1, 2, 3]), boxes, 1.0, -1)

@@ -69,3 +69,4 @@ for frame in open_source("street.mp4"):
     print(frame.index)  # wrong: attr-defined
 Watch().advance(rows, 1, 0.04)  # wrong: call-arg
 first: Tracks = next(iter(rows))  # wrong: assignment
+rows.save(rows)  # wrong: arg-type

@@ -124,6 +124,8 @@ for given in tracker.returns:
     print(given.identity, given.odds, [one.labels for one in tracker.exchanges])
 export_tracks("tracks.csv", tracker.tracks())
 export_tracks(Path("tracks.xml"), final.rest(), names={0: "person"})
+tracker.tracks().save("tracks.jsonl", names={0: "person"})
+print(len(Tracks.load(Path("tracks.jsonl"))), Tracks.load("zero.txt", first_frame=0).identity)
 again = read_tracks("tracks.csv", conventions=Conventions(units="pixels"))
 scores = evaluate(read_truth("gt.txt"), again, frames=750)
 print(scores.MOTA, scores.as_dict()["HOTA"])
