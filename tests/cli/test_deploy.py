@@ -11,9 +11,11 @@ import subprocess
 import sys
 from itertools import chain, pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cli_runner import phdtrack
+from ruamel.yaml import YAML
 
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
@@ -32,11 +34,21 @@ def unit() -> dict[str, dict[str, str]]:
     return {name: dict(parser[name]) for name in parser.sections()}
 
 
-def compose() -> tuple[list[str], str]:
-    """The words of the command, and the whole text."""
-    text = (DEPLOY / "compose.yaml").read_text(encoding="utf-8")
-    block = re.search(r"^    command:\n((?:      - .*\n)+)", text, re.MULTILINE)[1]
-    return [line.removeprefix("      - ") for line in block.splitlines()], text
+def compose() -> dict[str, Any]:
+    """The compose file."""
+    return YAML(typ="safe", pure=True).load(DEPLOY / "compose.yaml")
+
+
+def container() -> dict[str, Any]:
+    """The only service of the compose file."""
+    (service,) = compose()["services"].values()
+    return service
+
+
+def instruction(name: str) -> str:
+    """The last instruction of this name in the Dockerfile."""
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    return re.findall(rf"^{name} (.*)$", text, re.MULTILINE)[-1]
 
 
 def options(words: list[str]) -> dict[str, str]:
@@ -46,7 +58,7 @@ def options(words: list[str]) -> dict[str, str]:
 
 
 def commands() -> list[list[str]]:
-    return [compose()[0], shlex.split(unit()["Service"]["ExecStart"])[1:]]
+    return [container()["command"], shlex.split(unit()["Service"]["ExecStart"])[1:]]
 
 
 @pytest.mark.parametrize("words", commands(), ids=["compose", "systemd"])
@@ -87,20 +99,64 @@ def test_the_unit_restarts_and_may_write_only_its_folders() -> None:
     assert set(unit()) == {"Unit", "Service", "Install"}
 
 
+def test_the_container_is_built_from_this_folder() -> None:
+    service = container()
+    assert (DEPLOY / service["build"] / "Dockerfile").resolve() == ROOT / "Dockerfile"
+    assert service["image"] == "phdtrack"
+    assert json.loads(instruction("ENTRYPOINT")) == ["phdtrack"]
+
+
+def test_the_camera_is_required_and_not_in_the_command() -> None:
+    service = container()
+    address = service["environment"]["CAMERA"]
+    assert address.startswith("${CAMERA:?")
+    assert [word for word in service["command"] if "CAMERA" in word] == ["entrance={env:CAMERA}"]
+
+
 def test_the_container_is_checked_where_it_listens() -> None:
-    words, text = compose()
-    given = options(words)
-    docker = (ROOT / "Dockerfile").read_text(encoding="utf-8")
-    assert f"EXPOSE {given['--port']}" in docker
-    assert re.search(r"^USER (?!root)\w+$", docker, re.MULTILINE)
-    assert f"http://localhost:{given['--port']}/healthz" in text
+    service = container()
+    given = options(service["command"])
+    assert instruction("EXPOSE") == given["--port"]
     assert given["--allow-host"] == "localhost"
-    # Only this machine reaches the page, unless somebody changes that.
-    assert f"- 127.0.0.1:{given['--port']}:{given['--port']}" in text
-    assert given["--out"].startswith("/work/")
-    assert "cameras:/work" in text
-    # All other folders are read-only, and the image's kernels are for one kind of processor.
-    kept = re.search(r"^ENV NUMBA_CACHE_DIR=(\S+)$", docker, re.MULTILINE)[1]
-    assert f"- kernels:{kept}\n" in text
-    entry = re.search(r"^ENTRYPOINT (.*)$", docker, re.MULTILINE)[1]
-    assert json.loads(entry) == ["phdtrack"]
+    check = service["healthcheck"]["test"]
+    assert check[:3] == ["CMD", "python", "-c"]
+    compile(check[3], "healthcheck", "exec")
+    assert re.findall(r'urlopen\("(.*?)"', check[3]) == [
+        f"http://localhost:{given['--port']}/healthz"
+    ]
+    # The check itself gives up before the container is taken for hanging.
+    allowed = float(re.search(r"timeout=([\d.]+)", check[3])[1])
+    assert allowed < float(service["healthcheck"]["timeout"].removesuffix("s"))
+
+
+def test_only_this_machine_reaches_the_page() -> None:
+    service = container()
+    port = options(service["command"])["--port"]
+    assert service["ports"] == [f"127.0.0.1:{port}:{port}"]
+    assert "network_mode" not in service
+
+
+def test_the_container_keeps_results_and_kernels() -> None:
+    """All other folders are read-only, and the image's kernels are for one kind of processor."""
+    service = container()
+    volumes = dict(one.split(":") for one in service["volumes"])
+    assert set(volumes) == set(compose()["volumes"]) == {"cameras", "kernels"}
+    assert options(service["command"])["--out"].startswith(f"{volumes['cameras']}/")
+    assert instruction("ENV") == f"NUMBA_CACHE_DIR={volumes['kernels']}"
+    assert service["read_only"] is True
+    assert service["tmpfs"] == "/tmp"
+
+
+def test_the_container_runs_without_rights() -> None:
+    service = container()
+    user = service.get("user", instruction("USER"))
+    assert re.fullmatch(r"(?!root\b|0\b)\w+(:\w+)?", str(user))
+    assert service["cap_drop"] == ["ALL"]
+    assert service["security_opt"] == ["no-new-privileges:true"]
+    assert "privileged" not in service
+
+
+def test_the_container_restarts_and_has_time_to_end() -> None:
+    service = container()
+    assert service["restart"] == "unless-stopped"
+    assert service["stop_grace_period"] == "30s"
