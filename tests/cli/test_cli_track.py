@@ -23,6 +23,7 @@ FILES = {
     rundir.OBJECTS,
     rundir.MINUTES,
     rundir.HOURS,
+    rundir.HEATMAP,
     rundir.REPORT,
     rundir.RUN,
 }

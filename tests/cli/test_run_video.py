@@ -160,7 +160,7 @@ def consistent(
     present = FILES - (set() if video else {rundir.VIDEO})
     if not endless:
         # Of a source without end only the last frames are known.
-        present |= {rundir.OBJECTS, rundir.MINUTES, rundir.HOURS}
+        present |= {rundir.OBJECTS, rundir.MINUTES, rundir.HOURS, rundir.HEATMAP}
     assert {path.name for path in directory.path.iterdir()} == present
     assert outcome.document["frames"] == frames
     tracks = read_tracks(directory.file(rundir.TRACKS))

@@ -13,6 +13,7 @@ import pytest
 from phdtrack.report.object_list import (
     BAR_UNITS,
     bar_seconds,
+    heatmap_csv,
     minutes,
     minutes_csv,
     objects,
@@ -137,8 +138,25 @@ def test_visited_cells_are_under_the_feet() -> None:
     info = SequenceInfo(width=200, height=100, fps=FPS)
     inside = visited(walk(1, 1, 10, 0.0, height=38.0), info, 20)
     assert inside.shape == (10, 20)
-    assert inside.sum() == 1.0
-    assert inside[9, 3] == 1.0
+    assert inside.sum() == 10
+    assert inside[9, 3] == 10
+
+
+def test_heatmap_is_a_row_for_each_visited_cell() -> None:
+    info = SequenceInfo(width=160, height=100, fps=FPS)
+    tracks = Tracks.concatenate([walk(1, 1, 30, 0.0, height=33.0), walk(2, 1, 10, 0.0, 13.0)])
+    rows = list(csv.DictReader(io.StringIO(heatmap_csv(tracks, info))))
+    # Cells of 2 pixels; feet at (30, 73) and (30, 93).
+    assert [(row["left"], row["top"], row["right"], row["bottom"]) for row in rows] == [
+        ("30.00", "72.00", "32.00", "74.00"),
+        ("30.00", "92.00", "32.00", "94.00"),
+    ]
+    assert [(row["boxes"], row["share"]) for row in rows] == [
+        ("10", "0.250000"),
+        ("30", "0.750000"),
+    ]
+    head = "left,top,right,bottom,boxes,share"
+    assert heatmap_csv(Tracks.empty(), info).split() == [head]
 
 
 @pytest.mark.parametrize(

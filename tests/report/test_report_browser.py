@@ -31,6 +31,7 @@ def opened(browser, source: str, width: int, scheme: str):
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_charts_follow_light_and_dark_mode(browser, width: int, scheme: str) -> None:
     page = opened(browser, report_html(run_record(20, 3), {}), width, scheme)
+    page.evaluate("document.querySelectorAll('details').forEach(each => each.open = true)")
     for chart in page.locator(".chart").all():
         seen = cv2.imdecode(np.frombuffer(chart.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
         ground = int(seen[3, 3])

@@ -86,12 +86,12 @@ def test_report_is_one_offline_file_with_every_part() -> None:
     page = Page(source)
     offline(source)
     assert "script" not in page.tags
-    assert len(page.images) == 5  # count, arrivals, where objects are, paths, lifetimes
+    assert len(page.images) == 5  # arrivals, where objects are, paths, lifetimes, count
     assert all(page.images)
     words = page.words.replace("\u00a0", " ")
     for expected in (
         "2 objects in 24 frames (2.3 s of video)",
-        "About 12 of 48 detections (25 %) were rejected as false alarms, 0.5 a frame.",
+        "About 25 % of 48 detections were rejected as false alarms: the filter judged that no",
         "The detector finds 67 % of the tracked objects in a frame; the other track boxes are",
         "Speed: 100.0 frames/s.",
         "1 min 40 s",
@@ -109,6 +109,46 @@ def test_report_is_one_offline_file_with_every_part() -> None:
     ):
         assert expected in words, expected
     assert re.search(r"id_switches\s*3\D", words)
+
+
+def test_what_an_analyst_needs_comes_first() -> None:
+    source = report_html(run_record(24, 3), {})
+    assert re.findall("<h2>(.*?)</h2>", source) == [
+        "Objects over time",
+        "Objects",
+        "How long and how fast",
+        "Where objects are",
+        "Trajectories",
+        "Track lifetimes",
+        "Time per stage",
+        "For researchers",
+        "How to reproduce this",
+    ]
+    # The filter's count and evidence are folded.
+    before, _, after = source.partition("For researchers")
+    assert "Line chart over" not in before
+    assert after.index("<details>") < after.index("Line chart over")
+
+
+def test_every_chart_of_objects_names_its_table() -> None:
+    words = Page(report_html(run_record(24, 3), {})).words
+    for expected in (
+        "minutes.csv has a row for each minute, hours.csv one for each hour",
+        "objects.csv has a row for each object",
+        "the column seconds of objects.csv",
+        "the column speed_in_heights of objects.csv",
+        "heatmap.csv has the number of boxes in each cell",
+    ):
+        assert expected in words, expected
+    endless = Page(report_html(replace(run_record(24, 3), tables=False), {})).words
+    assert ".csv" not in endless
+
+
+def test_report_gives_one_share_of_false_alarms() -> None:
+    words = Page(report_html(run_record(24, 2), {})).words.replace("\u00a0", " ")
+    assert "25 %of detections rejected as false alarms" in words
+    assert words.count("false alarm") == 2
+    assert "12 of 48" not in words
 
 
 def test_text_from_outside_is_escaped() -> None:

@@ -23,7 +23,7 @@ from phdtrack.errors import needed
 from phdtrack.opencv_package import cv2
 from phdtrack.report.appearance_worth import AppearanceWorth
 from phdtrack.report.drawing import feet, identity_colour
-from phdtrack.report.object_list import DAY, HOUR, MINUTE, Minute, visited
+from phdtrack.report.object_list import DAY, HOUR, MAP_CELLS, MINUTE, Minute, visited
 from phdtrack.report.record import RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
@@ -300,13 +300,13 @@ def visited_picture(record: RunRecord) -> Picture:
     """A map of where the foot points of the tracks were, over the scene."""
     info = record.info
     axes = _frame_axes(info)
-    share = visited(record.tracks, info, _CELLS // 2)
-    level = np.sqrt(share / max(float(share.max()), 1e-12))
-    step = max(info.width, info.height) / (_CELLS // 2)
+    boxes = visited(record.tracks, info)
+    level = np.sqrt(boxes / max(int(boxes.max()), 1))
+    step = max(info.width, info.height) / MAP_CELLS
     axes.imshow(
         level,
         cmap="inferno",
-        extent=(0, share.shape[1] * step, share.shape[0] * step, 0),
+        extent=(0, boxes.shape[1] * step, boxes.shape[0] * step, 0),
         alpha=np.where(level > 0, 0.25 + 0.7 * level, 0.0),
         vmin=0,
         vmax=1,

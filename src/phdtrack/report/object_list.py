@@ -29,6 +29,8 @@ BAR_UNITS = {
     30 * DAY: "30 days",
 }
 """The names of what a bar of a chart may stand for, by its seconds."""
+MAP_CELLS = 80
+"""Cells of the map of where objects were, along the longer side of the frame."""
 
 
 def bar_seconds(total: float) -> float:
@@ -191,8 +193,8 @@ def minutes_csv(rows: Sequence[Minute]) -> str:
     return csv_text([Minute._fields, *lines])
 
 
-def visited(tracks: Tracks, info: SequenceInfo, cells: int) -> F8:
-    """(h, w) share of the boxes whose foot point is in each cell of the frame.
+def visited(tracks: Tracks, info: SequenceInfo, cells: int = MAP_CELLS) -> I8:
+    """(h, w) number of boxes whose foot point is in each cell of the frame.
 
     Parameters
     ----------
@@ -205,7 +207,26 @@ def visited(tracks: Tracks, info: SequenceInfo, cells: int) -> F8:
     x, y = feet(tracks.xyxy).T
     extent = ((0, shape[0] * step), (0, shape[1] * step))
     counts, _, _ = np.histogram2d(y, x, shape, extent)
-    return np.asarray(counts / max(len(tracks), 1), np.float64)
+    return counts.astype(np.int64)
+
+
+def heatmap_csv(tracks: Tracks, info: SequenceInfo) -> str:
+    """The map of where objects were as CSV: a row for each cell with a box, from the top; its sides
+    in pixels, the boxes with their foot point in it, and their share of all boxes.
+
+    Parameters
+    ----------
+    tracks : rows, boxes in pixels.
+    info : size of the frame.
+    """
+    counts = visited(tracks, info)
+    step = max(info.width, info.height) / MAP_CELLS
+    rows = []
+    for row, column in np.argwhere(counts).tolist():
+        sides = (column * step, row * step, (column + 1) * step, (row + 1) * step)
+        boxes = int(counts[row, column])
+        rows.append((*(f"{side:.2f}" for side in sides), boxes, f"{boxes / len(tracks):.6f}"))
+    return csv_text([("left", "top", "right", "bottom", "boxes", "share"), *rows])
 
 
 def _known(value: float, decimals: int) -> str:

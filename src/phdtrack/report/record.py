@@ -142,6 +142,7 @@ class RunRecord:
         moving regions.
     appearance : what appearance was worth; None without a source of it.
     thumbnails : small pictures of objects as ``data:`` addresses, by identity.
+    tables : True if objects.csv, minutes.csv, hours.csv and heatmap.csv are beside the report.
     """
 
     info: SequenceInfo
@@ -162,6 +163,7 @@ class RunRecord:
     doubtful: DoubtfulTracks | None = None
     appearance: AppearanceWorth | None = None
     thumbnails: Mapping[int, str] = field(default_factory=dict)
+    tables: bool = True
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -182,7 +184,7 @@ class RunRecord:
 
     @property
     def bar_seconds(self) -> float:
-        """Seconds of a bar in the chart of arrivals."""
+        """Seconds of a bar in the chart of objects over time."""
         return bar_seconds(float(self.times[-1] - self.times[0]) if len(self) else 0.0)
 
     @property

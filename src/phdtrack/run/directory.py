@@ -45,6 +45,7 @@ PLAN = "plan.mp4"
 OBJECTS = "objects.csv"
 MINUTES = "minutes.csv"
 HOURS = "hours.csv"
+HEATMAP = "heatmap.csv"
 REPORT = "report.html"
 RUN = "run.json"
 CAMERA_MOTION = "camera_motion.csv"
@@ -84,6 +85,7 @@ RUN_FILES = {
     OBJECTS: "each object: when it came and left, how far and how fast it went",
     MINUTES: "how many objects in each minute",
     HOURS: "the same in each hour",
+    HEATMAP: "where objects were: boxes in each cell of the frame",
     REPORT: "the run in pictures and numbers",
     RUN: "settings and statistics (JSON)",
 }

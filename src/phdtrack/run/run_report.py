@@ -11,7 +11,7 @@ import numpy as np
 
 from phdtrack.files import write_text
 from phdtrack.report import RunRecord, report_html, run_document, sentences, write_run
-from phdtrack.report.object_list import HOUR, MINUTE, minutes_csv, objects_csv
+from phdtrack.report.object_list import HOUR, MINUTE, heatmap_csv, minutes_csv, objects_csv
 from phdtrack.report.pages import doubts, lines
 from phdtrack.run import directory as rundir
 from phdtrack.run.confirmation import confirmation
@@ -68,7 +68,8 @@ def write_report(
     """
     options = run.options
     scores = scored.scores
-    record = replace(progress.recorder.record(tracks, options.about), names=run.names)
+    record = progress.recorder.record(tracks, options.about)
+    record = replace(record, names=run.names, tables=run.inputs.again)
     if progress.signs is not None:
         record = replace(record, doubtful=progress.signs.result())
     if run.inputs.descriptors.name:
@@ -120,16 +121,18 @@ def write_report(
 
 
 def _write_objects(run: Run, progress: Progress, record: RunRecord) -> None:
-    """Write the objects, the minutes and the hours, unless the source has no end: then only its
-    last frames are known.
+    """Write the objects, the minutes, the hours and the map, unless the source has no end: then
+    only its last frames are known.
     """
-    if run.inputs.again:
+    if record.tables:
         found = record.objects
         with progress.writing():
             write_text(run.directory.file(rundir.OBJECTS), objects_csv(found))
             for name, width in ((rundir.MINUTES, MINUTE), (rundir.HOURS, HOUR)):
                 rows = minutes_csv(record.objects_during(found, width))
                 write_text(run.directory.file(name), rows)
+            places = heatmap_csv(record.tracks, record.info)
+            write_text(run.directory.file(rundir.HEATMAP), places)
 
 
 def _asked(run: Run, progress: Progress) -> Iterator[str]:
