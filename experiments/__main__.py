@@ -86,10 +86,19 @@ EXPERIMENTS = {
     ),
 }
 
+# The command beside the experiments.
+DATA = "data"
+ABOUT_DATA = (
+    "what real sequences are missing, where they are published, and --from DOWNLOADS, which brings"
+    " them into their places"
+)
+
 
 def parser() -> argparse.ArgumentParser:
     """The command's options."""
-    out = argparse.ArgumentParser(prog="python -m experiments", description=__doc__)
+    out = argparse.ArgumentParser(
+        prog="python -m experiments", description=__doc__, epilog=f"{DATA}: {ABOUT_DATA}"
+    )
     out.add_argument(
         "names",
         nargs="*",
@@ -152,8 +161,13 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the requested experiments; return the exit status, 2 for invalid input."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] == [DATA]:
+        from experiments import data
+
+        return data.main(words[1:])
     command = parser()
-    parsed = command.parse_args(arguments)
+    parsed = command.parse_args(words)
     if parsed.runs < 0 or parsed.jobs < 0:
         command.error("--runs and --jobs are numbers from 1 on; 0 stands for the default")
     if parsed.seed is not None and parsed.seed < 0:
@@ -165,6 +179,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for name, one in EXPERIMENTS.items()
             )
         )
+        print(f"{DATA:<10} {ABOUT_DATA}")
         return 0
     if parsed.check:
         return made.check(parsed.out or made.ROOT / "docs" / "results")

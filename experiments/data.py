@@ -1,9 +1,9 @@
 """Sources and checksums of the real sequences of the experiments.
 
-``python -m experiments.data`` lists the sets: what is missing, what differs from the files that the
+``python -m experiments data`` lists the sets: what is missing, what differs from the files that the
 pages were made with, and where each set is published. Nothing is downloaded: most licences ask that
-you fetch the data yourself. ``python -m experiments.data --write`` makes the list of checksums anew
-from the folder of the data.
+you fetch the data yourself. ``--from DOWNLOADS`` brings what you fetched into the layout that the
+experiments expect, ``--write`` makes the list of checksums anew from the folder of the data.
 """
 
 from __future__ import annotations
@@ -11,11 +11,14 @@ from __future__ import annotations
 import argparse
 import csv
 import hashlib
+import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
 
 from experiments.common import data_place
+from experiments.data_layout import bring
+from phdtrack.errors import InputError
 
 LIST = Path(__file__).with_name("data_files.csv")
 # Hexadecimal digits of a checksum, of SHA-256.
@@ -159,10 +162,15 @@ def write_list(folder: Path, path: Path = LIST) -> None:
         writer.writerows((name, checksum(folder / name)) for name in files_in(folder))
 
 
+def listed(path: Path = LIST) -> dict[str, str]:
+    """The checksum of each file of the list, by its name."""
+    with path.open(encoding="utf-8", newline="") as content:
+        return {row["file"]: row["sha256"] for row in csv.DictReader(content)}
+
+
 def compared(folder: Path, path: Path = LIST) -> list[str]:
     """A line for each set, and one for each file of it that is missing or differs."""
-    with path.open(encoding="utf-8", newline="") as content:
-        expected = {row["file"]: row["sha256"] for row in csv.DictReader(content)}
+    expected = listed(path)
     by_source = defaultdict[Source | None, list[str]](list)
     for name in expected:
         by_source[source_of(name)].append(name)
@@ -186,17 +194,66 @@ def compared(folder: Path, path: Path = LIST) -> list[str]:
     return lines
 
 
+def brought(downloads: Path, folder: Path, path: Path = LIST) -> list[str]:
+    """Bring downloads into the layout of a folder; a line for each sequence, what was done for it,
+    and what it still lacks. Raises `InputError` if there are no downloads.
+
+    Parameters
+    ----------
+    downloads : folder of unpacked downloads.
+    folder : of the data.
+    path : the list of checksums.
+    """
+    expected = listed(path)
+    done = bring(downloads, folder, expected, checksum)
+    by_sequence = defaultdict[str, list[str]](list)
+    for name in expected:
+        by_sequence["/".join(name.split("/")[:-1][:2])].append(name)
+    lines = []
+    for sequence, names in by_sequence.items():
+        there = [name for name in names if (folder / name).is_file()]
+        new = [name for name in names if name in done.source]
+        lines.append(f"{sequence}: {len(there)} of {len(names)} files, {len(new)} of them new")
+        for name in new:
+            same = checksum(folder / name) == expected[name]
+            word = "" if same else ", not the file that the pages were made with"
+            lines.append(f"  {name.removeprefix(f'{sequence}/')} of {done.source[name]}{word}")
+        lines += [f"  {problem}" for problem in done.problems.get(sequence, ())]
+        lines += [
+            f"  missing: {name.removeprefix(f'{sequence}/')}" for name in names if name not in there
+        ]
+    return lines
+
+
 def main(words: list[str] | None = None) -> int:
-    """Print the state of the data; 1 if anything is missing or differs."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.data", description=__doc__)
+    """Print the state of the data; 1 if anything is missing or differs, 2 for invalid input."""
+    parser = argparse.ArgumentParser(prog="python -m experiments data", description=__doc__)
     parser.add_argument("--write", action="store_true", help="write the checksums anew")
+    parser.add_argument(
+        "--from",
+        dest="downloads",
+        type=Path,
+        metavar="DOWNLOADS",
+        help="folder of unpacked downloads, from which missing files are copied or made;"
+        " files that are there stay as they are",
+    )
     folder = data_place()
-    if parser.parse_args(words).write:
+    parsed = parser.parse_args(words)
+    if parsed.write:
         write_list(folder)
         return 0
-    lines = compared(folder)
-    print(f"In {folder} (PHDTRACK_DATA names another folder):", *lines, sep="\n")
-    return int(any(line.startswith("  ") for line in lines))
+    print(f"In {folder} (PHDTRACK_DATA names another folder):")
+    if parsed.downloads is None:
+        lines = compared(folder)
+        print(*lines, sep="\n")
+        return int(any(line.startswith("  ") for line in lines))
+    try:
+        lines = brought(parsed.downloads, folder)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(*lines, "python -m experiments data says where missing files are published.", sep="\n")
+    return 0
 
 
 if __name__ == "__main__":

@@ -68,8 +68,9 @@ def write_report(
     """
     options = run.options
     scores = scored.scores
-    record = progress.recorder.record(tracks, options.about)
-    record = replace(record, names=run.names, tables=run.inputs.again)
+    record = replace(
+        progress.recorder.record(tracks, options.about), names=run.names, tables=run.inputs.again
+    )
     if progress.signs is not None:
         record = replace(record, doubtful=progress.signs.result())
     if run.inputs.descriptors.name:
