@@ -86,7 +86,7 @@ def test_every_candidate_changes_the_settings_of_its_filter(name: str) -> None:
 
 
 def test_candidates_that_lose_on_real_sequences_are_not_tried() -> None:
-    """With filters besides the default one: docs/how-to/compare.md has what they lose."""
+    """With filters besides the default one."""
     losing = {"agile", "exact-boxes"}
     for name in ("gm-phd", "gm-cphd", "mht", "particle-phd"):
         sets = " ".join(one.sets for one in candidates(name))

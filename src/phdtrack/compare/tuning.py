@@ -70,7 +70,7 @@ riskier."""
 # Other filters are told what the PMB filter learns: how often objects are detected, and what is
 # a false alarm. Their opposites (agile, exact boxes, p_D 0.6, a clutter of 0.1 per detection) lose
 # 0.02 to 0.03 of HOTA on average over four filters and six real sequences, on which they are hardly
-# ever the best (docs/how-to/compare.md).
+# ever the best (measured once, by a script that is not kept).
 _OTHER_FILTERS = (
     _CALM,
     _LOOSE,
