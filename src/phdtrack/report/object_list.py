@@ -207,7 +207,7 @@ def visited(tracks: Tracks, info: SequenceInfo, cells: int = MAP_CELLS) -> I8:
     x, y = feet(tracks.xyxy).T
     extent = ((0, shape[0] * step), (0, shape[1] * step))
     counts, _, _ = np.histogram2d(y, x, shape, extent)
-    return counts.astype(np.int64)
+    return np.asarray(counts, np.int64)
 
 
 def heatmap_csv(tracks: Tracks, info: SequenceInfo) -> str:
