@@ -18,6 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -556,6 +557,12 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
 
+def _hide_unused(axes: Any, used: int) -> None:
+    """Hide the panels after the first ``used``, which have nothing to show."""
+    for axis in axes.ravel()[used:]:
+        axis.set_visible(False)
+
+
 def draw_sweeps(found: SceneResults, path: Path) -> None:
     """Draw MOTA of the uniform model over its rate of false alarms, a curve for each rate of
     births, and that of the learned models [M09 Fig. 15].
@@ -582,6 +589,7 @@ def draw_sweeps(found: SceneResults, path: Path) -> None:
             axis.axhspan(mean - error, mean + error, color="k", alpha=0.12, lw=0)
         axis.set(xscale="log", xlabel="false alarms a frame", ylabel="MOTA", title=name)
         axis.grid(alpha=0.3)
+    _hide_unused(axes, len(found.scenes))
     axes[0, 0].legend(fontsize=7)
     figure.savefig(path, dpi=75)
     plt.close(figure)
@@ -641,6 +649,7 @@ def draw(curves: Mapping[str, Curve], found: SceneResults, path: Path) -> None:
         axis.set_xticks(list(values), [str(count) for count in values])
         axis.minorticks_off()
         axis.grid(alpha=0.3)
+    _hide_unused(axes, len(curves))
     axes[0, 0].legend(fontsize=7)
     figure.savefig(path, dpi=75)
     plt.close(figure)
