@@ -17,6 +17,8 @@ from phdtrack.compare.statistics import interval
 WORDS = "word by word"
 MENDED = "as one must"
 OURS = "what we would use"
+# With fewer seeds an error says nothing: half the 95 % interval of two is 12.7 standard errors.
+FEWEST = 3
 # Names of cases that a verdict lists, at most.
 LISTED = 4
 
@@ -80,14 +82,17 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def decided(gaps: Sequence[float]) -> bool | None:
-    """True if differences between two runs are positive, False if negative, None if their mean is
-    within its error.
+    """True if differences between two runs are positive, False if not, None if their mean is within
+    its error.
 
     Parameters
     ----------
     gaps : independent differences, one a seed. The error is half the 95 % interval of their mean
-        (Student's t); a single difference has none and decides by its sign.
+        (Student's t). Fewer than `FEWEST` have none: the sign of their mean decides. Differences
+        that are not numbers are not positive.
     """
+    if len(gaps) < FEWEST:
+        return bool(len(gaps) > 0 and np.mean(gaps) > 0)
     mean = interval(gaps)
     if np.isfinite(mean.half) and not mean.clear:
         return None

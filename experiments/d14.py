@@ -292,6 +292,15 @@ def error_words(seeds: int) -> dict[str, str]:
     }
 
 
+def _seeds_text(seeds: int) -> str:
+    """The number of seeds, and that of the points drawn from the model if it differs."""
+    model = seeds_of("model", seeds)
+    text = counted(seeds, "seed")
+    if model == seeds:
+        return text
+    return f"{text} ({counted(model, 'seed')} for the points drawn from the model)"
+
+
 def figures(found: CorridorErrors) -> dict[str, object]:
     """The values of the page's placeholders."""
     people = scene("caviar")
@@ -310,7 +319,7 @@ def figures(found: CorridorErrors) -> dict[str, object]:
         "readings": d14_printed.readings_table(found.results, found.numbers, found.seeds),
         "ranges": ranges(found),
         "times": times(found),
-        "seeds": counted(found.seeds, "seed"),
+        "seeds": _seeds_text(found.seeds),
         "model_seeds": counted(seeds_of("model", found.seeds), "seed"),
         **error_words(found.seeds),
         "high": found.numbers[-1],

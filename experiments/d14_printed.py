@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from experiments.claims import MENDED, WORDS, Claim
+from experiments.claims import MENDED, WORDS, Claim, decided
 from experiments.common import table
 from experiments.d14_runs import IN_ALL, CorridorRun, RunErrors
-from experiments.verdicts import all_hold, most_hold, over_seeds, with_seeds
+from experiments.verdicts import all_hold, most_hold, with_seeds
 from phdtrack.types import F8
 
 PHD, MCMC = "SMC PHD", "MCMC greedy"
@@ -138,7 +138,7 @@ Errors = Callable[[str, int, float], F8]
 def _judged(claim: str, printed: str, form: str, figures: str, gaps: Mapping[str, F8]) -> Claim:
     """A claim about differences (seeds,), positive if as claimed, by setting."""
     seeds = len(next(iter(gaps.values())))
-    verdicts = {name: over_seeds(each.tolist()) for name, each in gaps.items()}
+    verdicts = {name: decided(each.tolist()) for name, each in gaps.items()}
     return Claim(claim, printed, form, with_seeds(figures, seeds), verdicts)
 
 
@@ -164,7 +164,7 @@ def _order(of: str, form: str, numbers: Sequence[int], mine: Errors, chain: str)
         form,
         with_seeds(f"in {int(won.sum())} of {len(won)} cells", seeds),
         {
-            name: most_hold(over_seeds(target[np.isfinite(target)].tolist()) for target in each.T)
+            name: most_hold(decided(target[np.isfinite(target)].tolist()) for target in each.T)
             for name, each in gaps.items()
         },
     )
@@ -207,7 +207,7 @@ def _falls(numbers: Sequence[int], mine: Errors) -> Claim:
         WORDS,
         with_seeds(figures, len(next(iter(steps.values()))[0])),
         {
-            name: all_hold(over_seeds((a - b).tolist()) for a, b in itertools.pairwise(each))
+            name: all_hold(decided((a - b).tolist()) for a, b in itertools.pairwise(each))
             for name, each in steps.items()
         },
     )

@@ -32,9 +32,9 @@ from pathlib import Path
 import numpy as np
 
 from experiments import e13_detectors
-from experiments.claims import MENDED, OURS, WORDS, Claim
+from experiments.claims import MENDED, OURS, WORDS, Claim, decided
 from experiments.common import Options, in_parallel, need_data, pyplot, table, with_error, write
-from experiments.verdicts import over_seeds, rule, with_seeds
+from experiments.verdicts import rule, with_seeds
 from phdtrack import config, pipeline
 from phdtrack.arrays import area, intersection
 from phdtrack.filters.cardinality import Cardinalised
@@ -375,7 +375,7 @@ def _judged(
         printed,
         form,
         with_seeds(figures, found.seeds),
-        {name: over_seeds(each.tolist()) for name, each in gaps.items()},
+        {name: decided(each.tolist()) for name, each in gaps.items()},
     )
 
 
@@ -427,35 +427,39 @@ def _jumps(found: CrowdResults, form: str) -> Claim:
 
 def _mended(found: CrowdResults) -> Claim:
     """The cardinalised filter jumps less than half as much."""
-    both = {
-        rate: (found.jumps(FORMS[OURS], rate), found.jumps(FORMS[MENDED], rate))
-        for rate in found.rates
-    }
-    ours, plain = (each.mean() for each in both[found.rates[0]])
-    return _judged(
-        found,
-        "a cardinalised filter mends the jumps",
-        OURS,
-        f"{ours:.2f} a frame, without {plain:.2f}",
-        {_clutter(rate): plain / 2 - ours for rate, (ours, plain) in both.items()},
-    )
+    jumps = [
+        {rate: found.jumps(FORMS[form], rate) for rate in found.rates} for form in (OURS, MENDED)
+    ]
+    claim = "a cardinalised filter mends the jumps"
+    return _below(found, claim, OURS, ("{:.2f} a frame, without {:.2f}", 0.5), *jumps)
 
 
 def _lowered(found: CrowdResults, form: str) -> Claim:
     """The error of Σ w is lower with p_D(x) than with a constant p_D."""
     name = FORMS[form]
-    both = {
-        rate: [found.errors(each, rate, "mass") for each in (f"{name}, occlusion", name)]
-        for rate in found.rates
-    }
-    ours, plain = (each.mean() for each in both[found.rates[0]])
-    return _judged(
-        found,
-        "p_D(x) that falls behind others lowers the error of the number of people",
-        form,
-        f"error {ours:.2f} with, {plain:.2f} without",
-        {_clutter(rate): plain - ours for rate, (ours, plain) in both.items()},
-    )
+    errors = [
+        {rate: found.errors(each, rate, "mass") for rate in found.rates}
+        for each in (f"{name}, occlusion", name)
+    ]
+    claim = "p_D(x) that falls behind others lowers the error of the number of people"
+    return _below(found, claim, form, ("error {:.2f} with, {:.2f} without", 1.0), *errors)
+
+
+def _below(
+    found: CrowdResults,
+    claim: str,
+    form: str,
+    said: tuple[str, float],
+    ours: Mapping[float, F8],
+    plain: Mapping[float, F8],
+) -> Claim:
+    """Figures (seeds,) by clutter, ``ours`` below a share of the ``plain`` ones; ``said`` has the
+    words for both means at the lowest clutter, and the share.
+    """
+    words, share = said
+    first = found.rates[0]
+    gaps = {_clutter(rate): share * plain[rate] - ours[rate] for rate in found.rates}
+    return _judged(found, claim, form, words.format(ours[first].mean(), plain[first].mean()), gaps)
 
 
 def _clutter(rate: float) -> str:
@@ -480,7 +484,7 @@ def hidden_sentence(found: CrowdResults) -> str:
         bias = found.biases(name, clutter, "mass").mean()
         lines.append(f"{words} {error:.2f} (bias {bias:+.2f}).")
     gaps = found.errors(constant, clutter, "mass") - found.errors(hidden, clutter, "mass")
-    lower = over_seeds(gaps.tolist())
+    lower = decided(gaps.tolist())
     verdict = {
         True: "So p_D(x) with the people found lowers the error.",
         False: "So p_D(x) with the people found raises the error.",

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from experiments.claims import Claim, claims_table
+from experiments.claims import Claim, claims_table, decided
 from experiments.common import Case, Options, ScoredCase, filled, in_parallel, need_data, table
 from experiments.m07_table import (
     FEW,
@@ -32,7 +32,7 @@ from experiments.m07_table import (
     scored,
 )
 from experiments.m09_scenes import RENDERED, frames_of, simulated
-from experiments.verdicts import all_hold, over_seeds, rule, with_seeds
+from experiments.verdicts import all_hold, rule, with_seeds
 from experiments.video_kinds import SHORT, VIDEOS
 from phdtrack.detect import make_detector
 from phdtrack.formats import ignoring, read_truth
@@ -240,7 +240,7 @@ def _rises(found: SmallResults, form: str) -> Claim:
         form,
         with_seeds(figures, runs.seeds(runs.rates[-1], form)),
         {
-            name: all_hold(over_seeds((b - a).tolist()) for a, b in itertools.pairwise(gain))
+            name: all_hold(decided((b - a).tolist()) for a, b in itertools.pairwise(gain))
             for name, gain in gains.items()
         },
     )
@@ -265,7 +265,7 @@ def _mended(found: SmallResults, form: str) -> Claim:
         "−.58, .15 on 102a03",
         form,
         with_seeds(figures, runs.seeds(runs.rates[-1], form)),
-        {name: over_seeds(runs.each(*case, form, "MOTA")) for name, case in low.items()},
+        {name: decided(runs.each(*case, form, "MOTA")) for name, case in low.items()},
     )
 
 

@@ -1,32 +1,11 @@
-"""Verdicts on a claim from differences over seeds: with errors from three seeds on, by the mean
-with fewer, which is then said.
-"""
+"""Verdicts on claims that consist of several, and what a page says of the seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
-import numpy as np
-
-from experiments.claims import decided
+from experiments.claims import FEWEST
 from phdtrack.report.pages import counted
-
-# With fewer seeds an error says nothing: half the 95 % interval of two is 12.7 standard errors.
-FEWEST = 3
-
-
-def over_seeds(gaps: Sequence[float]) -> bool | None:
-    """True if a claim holds, False if it does not, None if its differences are within their error.
-
-    Parameters
-    ----------
-    gaps : differences, one a seed, positive if as claimed. From `FEWEST` on they are judged by
-        `decided`; fewer by the sign of their mean. Differences that are not numbers are not as
-        claimed.
-    """
-    if len(gaps) >= FEWEST:
-        return decided(gaps)
-    return bool(len(gaps) > 0 and np.mean(gaps) > 0)
 
 
 def all_hold(verdicts: Iterable[bool | None]) -> bool | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from experiments.claims import Claim, claims_table, claims_text, decided
@@ -47,9 +49,17 @@ def test_the_verdict_says_where_a_claim_holds(where: dict[str, bool | None], ver
         ([-0.9, -1.0, -1.0, -1.0, -1.1], False),
         ([-0.9, 1.0, 1.0, 1.0, -0.9], None),
         ([0.0] * 5, None),
-        # Without a second seed there is no error.
+        ([0.9, 1.0, 1.1], True),
+        ([-0.9, 1.0, 1.0], None),
+        # Too few for an error: the mean decides.
+        ([-0.9, 1.0], True),
+        ([-1.1, 1.0], False),
         ([0.01], True),
         ([-0.01], False),
+        ([0.0], False),
+        ([math.nan], False),
+        ([math.nan, 1.0, 1.0], False),
+        ([], False),
     ],
 )
 def test_a_difference_within_its_error_decides_nothing(

@@ -1,32 +1,10 @@
-"""Verdicts from differences over seeds."""
+"""Verdicts on claims that consist of several."""
 
 from __future__ import annotations
 
-import math
-
 import pytest
 
-from experiments.verdicts import all_hold, most_hold, over_seeds, with_seeds
-
-
-@pytest.mark.parametrize(
-    ("gaps", "holds"),
-    [
-        ([0.9, 1.0, 1.1], True),
-        ([-0.9, -1.0, -1.1], False),
-        ([-0.9, 1.0, 1.0], None),
-        ([0.0, 0.0, 0.0], None),
-        # Too few for an error: the mean decides.
-        ([-0.9, 1.0], True),
-        ([-1.1, 1.0], False),
-        ([0.0], False),
-        ([math.nan], False),
-        ([math.nan, 1.0, 1.0], False),
-        ([], False),
-    ],
-)
-def test_three_seeds_are_judged_with_their_error(gaps: list[float], holds: bool | None) -> None:
-    assert over_seeds(gaps) is holds
+from experiments.verdicts import all_hold, most_hold, with_seeds
 
 
 @pytest.mark.parametrize(

@@ -91,37 +91,26 @@ HELD = {
 }
 
 
+@pytest.mark.parametrize("methods", [False, True])
 @pytest.mark.parametrize("suffix", sorted(HELD))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(original=tracks())
 def test_tracks_in_a_file_of_any_suffix_are_the_same(
-    tmp_path_factory: pytest.TempPathFactory, suffix: str, original: Tracks
+    tmp_path_factory: pytest.TempPathFactory, suffix: str, methods: bool, original: Tracks
 ) -> None:
+    """Written and read by the methods of `Tracks`, or by the functions behind them."""
     path = tmp_path_factory.getbasetemp() / f"same{suffix}"
-    phdtrack.export_tracks(path, original)
-    again = phdtrack.read_tracks(path)
+    if methods:
+        original.save(path)
+        again = Tracks.load(path)
+    else:
+        phdtrack.export_tracks(path, original)
+        again = phdtrack.read_tracks(path)
     for name in HELD[suffix]:
         np.testing.assert_allclose(
             getattr(again, name), getattr(original, name), rtol=5e-7, atol=0, err_msg=name
         )
     # The right side is the sum of two rounded numbers.
-    scale = np.abs(original.xyxy).max(initial=1.0)
-    np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=1.5e-6 * scale)
-
-
-@pytest.mark.parametrize("suffix", sorted(HELD))
-@settings(max_examples=10, deadline=None)
-@given(original=tracks())
-def test_saved_tracks_load_again(
-    tmp_path_factory: pytest.TempPathFactory, suffix: str, original: Tracks
-) -> None:
-    path = tmp_path_factory.getbasetemp() / f"saved{suffix}"
-    original.save(path)
-    again = Tracks.load(path)
-    for name in HELD[suffix]:
-        np.testing.assert_allclose(
-            getattr(again, name), getattr(original, name), rtol=5e-7, atol=0, err_msg=name
-        )
     scale = np.abs(original.xyxy).max(initial=1.0)
     np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=1.5e-6 * scale)
 

@@ -222,8 +222,8 @@ class MotionSection(TypedDict, total=False):
 
     roughening: float
     """Deviation that is added to the acceleration of particles alone: few particles that move
-    with little noise soon have one common ancestor, which may have had a wrong velocity [G93
-    page 112]. At least 0. For kind box."""
+    with little noise soon have one common ancestor, which may have had a wrong velocity [G93].
+    At least 0. For kind box."""
 
     form: Literal["piecewise", "continuous"]
     """Continuous or piecewise, see models.positions. For kind plane."""

@@ -9,8 +9,8 @@ the centres near it, within `REACH` deviations in position. The paper splits abo
 well-seen target settles at up to 1/(1 − p_M p_S): 1.05 at p_D = 0.95 and 1.42 at p_D = 0.7, so its
 halves would both fall below the threshold of 0.6 and it would vanish. The split mass here is 1.5:
 above what one target can weigh down to p_D = 0.67, below what two weigh once they are established,
-and half of it is still above the threshold. `PrintedKMeans` is the paper's rule word by word, for
-its experiments.
+and half of it is still above the threshold. `PrintedKMeans` and `PrintedMixture` are the papers'
+rules word by word, for their experiments.
 
 **Joining.** A detector that suppresses overlapping boxes never reports two objects whose boxes
 overlap by much. Where two states do, it has fired twice on one object, at two scales or on two
@@ -301,6 +301,10 @@ class Components(_Extraction):
         else:
             peaks, _ = join_unresolved(peaks, model.sensor, self.merge_iou)
         return finish(peaks, z, model)
+
+
+# The extractions from particles.
+FromParticles = KMeans | PrintedKMeans | Mixture | PrintedMixture
 
 
 def known_blocks(intensity: Intensity) -> Blocks:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.filters.cardinality import Cardinalised
-from phdtrack.filters.extract import KMeans, Mixture, PrintedKMeans, PrintedMixture
+from phdtrack.filters.extract import FromParticles
 from phdtrack.groups.clusters import Grouping, Groups, group_moments
 from phdtrack.groups.contours import Contours
 from phdtrack.groups.encounters import Encounter, EncounterWarning
@@ -250,9 +250,7 @@ def mixture_of(
     if isinstance(intensity, GaussianMixture):
         return intensity
     estimates = step.estimates
-    if isinstance(stages.extractor, KMeans | Mixture | PrintedKMeans | PrintedMixture) and (
-        min_weight < stages.extractor.min_weight
-    ):
+    if isinstance(stages.extractor, FromParticles) and (min_weight < stages.extractor.min_weight):
         extractor = replace(stages.extractor, min_weight=min_weight)
         estimates = extractor.extract(intensity, z, stages.model)
     covariance = estimates.covariance + _MIN_DEVIATION**2 * np.eye(len(estimates.state))

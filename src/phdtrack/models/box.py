@@ -308,7 +308,7 @@ class BoxMotion(Checked):
         survive. (0, 0): no such border.
     roughening : deviation that is added to the acceleration of particles alone: few particles that
         move with little noise soon have one common ancestor, which may have had a wrong velocity
-        [G93 page 112].
+        [G93].
     """
 
     acceleration: NonNegative = 0.005

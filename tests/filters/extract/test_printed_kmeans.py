@@ -8,7 +8,7 @@ from extract_cases import HERE, MODEL, THERE, cloud, moved, seen, together
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.filters import KMeans, PrintedKMeans
+from phdtrack.filters import KMeans, Mixture, PrintedKMeans, PrintedMixture
 from phdtrack.types import Particles
 
 # A centre that would move by less, in deviations, rests.
@@ -70,12 +70,17 @@ def test_a_target_heavier_than_one_is_halved_and_lost(rng):
     assert len(PrintedKMeans(split_weight=1.5).extract(cloud(rng, HERE, 1.05), seen(HERE), MODEL))
 
 
-def test_a_missed_target_belongs_to_the_nearest_detection(rng):
-    """No cluster starts on mass that no detection is near, and no window bounds a cluster."""
+@pytest.mark.parametrize(
+    ("printed", "ours"), [(PrintedKMeans(), KMeans()), (PrintedMixture(), Mixture())]
+)
+def test_a_missed_target_belongs_to_the_nearest_detection(rng, printed, ours):
+    """No cluster or component starts on mass that no detection is near, and no window bounds
+    one.
+    """
     state = together(cloud(rng, HERE, 0.9), cloud(rng, moved(300), 0.05))
-    found = PrintedKMeans().extract(state, seen(HERE), MODEL)
+    found = printed.extract(state, seen(HERE), MODEL)
     assert len(found) == 1
     assert found.weight[0] == pytest.approx(0.95)
     assert found.state[0, 0] > HERE[0] + 10
-    assert len(PrintedKMeans().extract(cloud(rng, THERE, 0.9), seen(), MODEL)) == 0
-    assert len(KMeans().extract(cloud(rng, THERE, 0.9), seen(), MODEL)) == 1
+    assert len(printed.extract(cloud(rng, THERE, 0.9), seen(), MODEL)) == 0
+    assert len(ours.extract(cloud(rng, THERE, 0.9), seen(), MODEL)) == 1
