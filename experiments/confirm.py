@@ -1,14 +1,16 @@
 """Old pages whose figures the code of today still gives: ``python -m experiments --confirm NAME``.
 
 A page is old as soon as a module that it loaded has changed, though most changes concern no figure
-of it. Its short form tells them apart within minutes: it runs with the code that made the page,
-which git has, and with that of today. If both give the same figures the page counts as new. This
-is evidence, not proof: a short form has fewer cases than a page.
+of it. Its short form tells them apart within minutes: it runs with the code of today, and with the
+code that made the page, which git has. If both give the same figures the page counts as new, and
+``made.json`` keeps a fingerprint of them: the next time the code of today is enough. This is
+evidence, not proof: a short form has fewer cases than a page.
 """
 
 from __future__ import annotations
 
 import difflib
+import hashlib
 import os
 import shlex
 import subprocess
@@ -17,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from experiments import made
 from experiments.common import data_place
@@ -40,44 +43,58 @@ def confirm(folder: Path, names: Sequence[str]) -> int:
         raise InputError(f"expected a page of {known}; got {unknown[0]!r}", where="--confirm")
     left = 0
     for name in chosen:
-        if name not in old:
+        if name not in old and "short" in made.entries(folder)[name]:
             print(f"{name}.md is as new as what it shows")
             continue
-        reason = _difference(folder, name)
+        reason = _reason(folder, name, is_old=name in old)
         print(f"{name}.md stays old: {reason}" if reason else f"{name}.md is confirmed", flush=True)
         left += bool(reason)
     return 1 if left else 0
 
 
-def _difference(folder: Path, name: str) -> str:
-    """Why the page stays old; empty if its short form is the same as with its own code, which is
-    noted then.
+def _reason(folder: Path, name: str, *, is_old: bool) -> str:
+    """Why the page stays old; empty if its short form gives the figures that it gave before, which
+    is noted then.
     """
     entry = made.entries(folder)[name]
-    commit = _commit_of(name, entry)
-    if not commit:
-        return "git has no commit that made it"
     with TemporaryDirectory(prefix="experiments-") as place:
-        pages = [Path(place) / which for which in ("before", "now")]
-        with _checked_out(commit, Path(place) / "code") as code:
-            absent = _restored(code, entry["code"])
-            if absent:
-                return f"git does not have {absent} as it was when the page was made"
-            for root, out in zip((code, made.ROOT), pages, strict=True):
-                failure = _short_form(root, entry["command"], out)
-                if failure:
-                    return f"its short form ended with an error ({out.name}): {failure}"
-        before, now = (_figures(out / f"{name}.md") for out in pages)
-        if before != now:
-            lines = [*difflib.unified_diff(before, now, "before", "now", lineterm="", n=0)]
-            more = len(lines) - _SHOWN
-            shown = lines[:_SHOWN] + ([f"and {more} more lines"] if more > 0 else [])
-            return "\n".join(["its short form gives other figures", *shown])
-        made.renew(folder, name, made.entries(pages[1])[name]["code"])
+        now = Path(place) / "now"
+        failure = _short_form(made.ROOT, entry["command"], now)
+        if failure:
+            return failure
+        figures = _figures(now / f"{name}.md")
+        value = hashlib.sha256("\n".join(figures).encode()).hexdigest()[:12]
+        if is_old and entry.get("short") != value:
+            reason = _difference(name, entry, figures, Path(place))
+            if reason:
+                return reason
+        made.renew(folder, name, made.entries(now)[name]["code"], value)
     return ""
 
 
-def _commit_of(name: str, entry: Mapping[str, object]) -> str:
+def _difference(name: str, entry: Mapping[str, Any], now: Sequence[str], place: Path) -> str:
+    """Why these figures are not those of the code that made a page; empty if they are."""
+    commit = _commit_of(name, entry)
+    if not commit:
+        return "git has no commit that made it"
+    out = place / "before"
+    with _checked_out(commit, place / "code") as code:
+        absent = _restored(code, entry["code"])
+        if absent:
+            return f"git does not have {absent} as it was when the page was made"
+        failure = _short_form(code, entry["command"], out)
+    if failure:
+        return failure
+    before = _figures(out / f"{name}.md")
+    if before == now:
+        return ""
+    lines = [*difflib.unified_diff(before, now, "before", "now", lineterm="", n=0)]
+    more = len(lines) - _SHOWN
+    shown = lines[:_SHOWN] + ([f"and {more} more lines"] if more > 0 else [])
+    return "\n".join(["its short form gives other figures", *shown])
+
+
+def _commit_of(name: str, entry: Mapping[str, Any]) -> str:
     """The recorded commit of a page, or one that wrote the page, where that is gone because commits
     were moved; empty if there is none.
     """
@@ -131,8 +148,8 @@ def _checked_out(commit: str, place: Path) -> Iterator[Path]:
 
 
 def _short_form(root: Path, command: str, out: Path) -> str:
-    """Run the short form of a page's command with the code in ``root``; the last line of its error,
-    if it fails.
+    """Run the short form of a page's command with the code in ``root``; a sentence with the last
+    line of its error, if it fails.
     """
     path = os.pathsep.join([str(root / "src"), str(root)])
     environment = {**os.environ, "PYTHONPATH": path, "PHDTRACK_DATA": str(data_place())}
@@ -142,7 +159,8 @@ def _short_form(root: Path, command: str, out: Path) -> str:
     )
     if done.returncode == 0:
         return ""
-    return (done.stderr.strip().splitlines() or ["no message"])[-1]
+    message = (done.stderr.strip().splitlines() or ["no message"])[-1]
+    return f"its short form ended with an error ({out.name}): {message}"
 
 
 def _figures(page: Path) -> list[str]:

@@ -142,14 +142,18 @@ def record_part(folder: Path, page: str, part: str, command: str, modules: Itera
     return line
 
 
-def renew(folder: Path, page: str, modules: Iterable[str]) -> None:
-    """Note that the code of today gives the figures of a page, which loads these modules now."""
+def renew(folder: Path, page: str, modules: Iterable[str], short: str) -> None:
+    """Note that the code of today gives the figures of a page, which loads these modules now.
+
+    ``short``: the fingerprint of the figures of its short form.
+    """
     pages = entries(folder)
     entry = pages[page]
     for one in (entry, *entry.get("parts", {}).values()):
         paths = {*one["code"], *modules} & at_start().keys()
         one["code"] = {path: at_start()[path] for path in sorted(paths)}
     entry["confirmed"] = commit()
+    entry["short"] = short
     _write(folder, pages)
 
 

@@ -58,13 +58,31 @@ def changed(results: Path, text: str) -> None:
 def test_a_change_that_alters_no_figure_leaves_a_page_new(
     results: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert confirm(results, ["new"]) == 0
     changed(results, "FIGURE = 1 + 2\n")
     assert confirm(results, []) == 0
     assert made.stale(results) == {}
+    assert confirm(results, ["new"]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "new.md is as new as what it shows",
         "new.md is confirmed",
+        "new.md is as new as what it shows",
+    ]
+
+
+def test_kept_figures_confirm_without_the_former_code(
+    results: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A new page whose figures are asked for keeps those of its short form."""
+    assert confirm(results, ["new"]) == 0
+    monkeypatch.setattr("experiments.confirm._commit_of", lambda name, entry: "")
+    changed(results, "FIGURE = 1 + 2\n")
+    assert confirm(results, []) == 0
+    changed(results, "FIGURE = 4\n")
+    assert confirm(results, []) == 1
+    assert made.stale(results) == {"new": [VALUE]}
+    assert capsys.readouterr().out.splitlines() == [
+        "new.md is confirmed",
+        "new.md is confirmed",
+        "new.md stays old: git has no commit that made it",
     ]
 
 
