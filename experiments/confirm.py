@@ -12,6 +12,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -27,6 +28,9 @@ from phdtrack.errors import InputError
 
 # Lines of a difference that are printed.
 _SHOWN = 6
+# What headings of sections and columns, and lines, have that tell how long something took.
+_OF_TIMES = re.compile(r"\b(ms|µs|time)\b")
+_DIGITS = re.compile(r"\d+")
 # Commits that changed a file, the newest first, among which its state is looked for.
 _SEARCHED = 60
 
@@ -164,6 +168,22 @@ def _short_form(root: Path, command: str, out: Path) -> str:
 
 
 def _figures(page: Path) -> list[str]:
-    """The lines of a page, without those that say what made it."""
-    lines = page.read_text(encoding="utf-8").splitlines()
-    return [line for line in lines if not line.startswith("Made by `")]
+    """The lines of a page, without those that say what made it, and without measured times, which
+    differ from run to run.
+    """
+    figures = list[str]()
+    timed = frozenset[int]()
+    skipped = in_table = False
+    for line in page.read_text(encoding="utf-8").splitlines():
+        if line.startswith("#"):
+            skipped = bool(_OF_TIMES.search(line.lower()))
+        if skipped or line.startswith("Made by `"):
+            continue
+        cells = line.split("|")
+        if len(cells) > 1 and not in_table:
+            timed = frozenset(k for k, cell in enumerate(cells) if _OF_TIMES.search(cell))
+        in_table = len(cells) > 1
+        kept = ["" if in_table and k in timed else cell for k, cell in enumerate(cells)]
+        figure = "|".join(kept)
+        figures.append(_DIGITS.sub("", figure) if _OF_TIMES.search(figure) else figure)
+    return figures

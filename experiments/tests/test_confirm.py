@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from experiments import made
-from experiments.confirm import confirm
+from experiments.confirm import _figures, confirm
 from phdtrack.errors import InputError
 
 # What the repository has in place of the experiments: it writes a page with one figure.
@@ -84,6 +84,39 @@ def test_kept_figures_confirm_without_the_former_code(
         "new.md is confirmed",
         "new.md stays old: git has no commit that made it",
     ]
+
+
+def test_measured_times_are_no_figures(tmp_path: Path) -> None:
+    page = """# Page
+The filter takes {0} ms.
+
+| case | MOTA | ms |
+|---|---|---|
+| a | {1} | {0} |
+
+Costs are {1} times those of before.
+
+## Time per frame
+
+| case | over |
+|---|---|
+| a | {0} |
+
+## Count
+
+| case | error |
+|---|---|
+| a | {1} |
+"""
+    shown = []
+    for name, numbers in {"one": (1, 2), "slow": (9, 2), "other": (1, 3)}.items():
+        (tmp_path / name).write_text(page.format(*numbers), encoding="utf-8")
+        shown.append(_figures(tmp_path / name))
+    assert shown[0] == shown[1]
+    differing = [
+        k for k, (one, other) in enumerate(zip(shown[0], shown[2], strict=True)) if one != other
+    ]
+    assert len(differing) == 3
 
 
 def test_other_figures_leave_a_page_old(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
