@@ -41,6 +41,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(count, "FEW", (300,))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 def test_the_page_is_written_where_it_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -109,6 +110,7 @@ def halved(job: int) -> float:
     return job / 2 if job else 1 / job
 
 
+@pytest.mark.slow
 def test_work_in_processes_keeps_the_order_and_says_what_it_does(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

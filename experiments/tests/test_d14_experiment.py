@@ -72,6 +72,7 @@ def test_the_kalman_filters_are_those_of_single_targets():
             np.testing.assert_allclose(found.point[:, mine][:, 0], mean[:2], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_all_filters_get_the_same_measurements():
     """N is the number of samples, or of particles for each estimated target; the sensor's
     variance is that of the measurements.

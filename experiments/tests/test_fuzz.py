@@ -16,6 +16,7 @@ from phdtrack.errors import InputError
 WHOLE = fuzz.Limits(seconds=60.0)
 
 
+@pytest.mark.slow
 def test_every_family_in_its_short_form(tmp_path: Path) -> None:
     """In a process without threads, because it is forked."""
     words = [sys.executable, "-m", "experiments.fuzz", "all", "--inputs", "80", "--seconds", "60"]

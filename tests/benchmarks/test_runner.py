@@ -147,6 +147,7 @@ def test_the_particle_part_measures_all_sizes_and_forms() -> None:
     assert worst[4] > worst[2] > 0
 
 
+@pytest.mark.slow
 def test_d14s_sequence_is_timed_with_its_filters() -> None:
     outcome = d14.run(SMOKE, lambda text: None)
     assert set(outcome.entries["d14_seconds"]) == {"mcmc", "mcmc_each", "particle-phd"}

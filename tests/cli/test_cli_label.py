@@ -61,6 +61,7 @@ class Started:
         return self.process.returncode, self.told + out, err
 
 
+@pytest.mark.slow
 def test_label_leave_and_go_on(sequence):
     arguments = ("street", "--detections", "det.txt", "--frames", "8", "--seed", "3")
     page = Started(*arguments, cwd=sequence)
@@ -99,6 +100,7 @@ def test_label_leave_and_go_on(sequence):
     ]
 
 
+@pytest.mark.slow
 def test_the_name_of_the_labeller_is_asked_once(sequence):
     """It is given, or typed on the page, for one video, and holds for the next ones."""
     arguments = ("--detections", "det.txt", "--frames", "2", "--frame-size", "160x120")

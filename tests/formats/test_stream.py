@@ -96,6 +96,7 @@ def test_malformed_stream_line_is_named(content: str, words: str, pieces: int) -
     assert words in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_tracking_a_pipe_equals_tracking_the_file(tmp_path: Path) -> None:
     """Frames without rows are frames in which nothing was detected."""

@@ -54,6 +54,7 @@ def test_files_that_are_not_matlab_are_refused(tmp_path: Path, content: bytes, w
         read_camera(saved(tmp_path, content), FORM)
 
 
+@pytest.mark.slow
 def test_damaged_matlab_files_are_read_or_refused(tmp_path: Path) -> None:
     whole = saved(tmp_path).read_bytes()
     rng = random.Random(1)
