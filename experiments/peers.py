@@ -103,13 +103,10 @@ class PeerRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeerScores:
-    """Scores of the online rows, without delay, and of the corrected tracks; milliseconds per
-    frame.
-    """
+    """Scores of the online rows, without delay, and of the corrected tracks."""
 
     online: Scores
     offline: Scores
-    ms: float
 
 
 def bench() -> Path:
@@ -153,7 +150,7 @@ def work(job: PeerRun) -> PeerScores:
         job.seed,
     )
     online = evaluate(truth, run.online.select(run.online.confirmed), frames=info.frames)
-    return PeerScores(online, evaluate(truth, run.corrected, frames=info.frames), 1e3 * run.seconds)
+    return PeerScores(online, evaluate(truth, run.corrected, frames=info.frames))
 
 
 def counted(truth: Truth) -> Truth:
@@ -265,7 +262,6 @@ def _pooled_table(found: ComparedRuns, cases: Sequence[str]) -> str:
         "case",
         "tracker",
         *(f"{score} {kind}" for kind in ("online", "corrected") for score in SHOWN),
-        "ms",
     )
     rows: list[tuple[object, ...]] = []
     for case in cases:
@@ -273,22 +269,13 @@ def _pooled_table(found: ComparedRuns, cases: Sequence[str]) -> str:
             f"{value:.1f} {name}"
             for value, name in (found.best(case, "ALL", score) for score in SHOWN)
         )
-        rows.append((case, "best peer in each", *best, "", "", "", ""))
+        rows.append((case, "best peer in each", *best, "", "", ""))
         for name in found.trackers:
             method, sets = TRACKERS[name]
             kinds = ((kind, score) for kind in ("online", "offline") for score in SHOWN)
             cells = (f"{found.mean(case, method, kind, score, sets):.1f}" for kind, score in kinds)
-            rows.append((case, name, *cells, f"{_ms(found, case, method, sets):.2f}"))
+            rows.append((case, name, *cells))
     return table(header, rows)
-
-
-def _ms(found: ComparedRuns, case: str, method: str, sets: tuple[str, ...]) -> float:
-    runs = (
-        run
-        for sequence in found.sequences[case]
-        for run in found.runs(case, sequence, method, sets)
-    )
-    return float(np.median([run.ms for run in runs]))
 
 
 def _sequence_table(found: ComparedRuns, cases: Sequence[str]) -> str:
@@ -316,7 +303,7 @@ def _sequence_table(found: ComparedRuns, cases: Sequence[str]) -> str:
 
 
 def _filters_table(found: ComparedRuns) -> str:
-    """All filters: means over kinds of detections, and the time per frame."""
+    """All filters: means over kinds of detections."""
     cases = {
         "real": [case for case in found.sequences if case in SEQUENCES],
         "uniform clutter": [case for case in found.sequences if case.startswith("u")],
@@ -329,7 +316,6 @@ def _filters_table(found: ComparedRuns) -> str:
         "filter",
         *(f"{name} {score}" for name in kinds for score in SHOWN),
         "online, real IDF1",
-        "ms",
     )
     rows = []
     for name in found.trackers:
@@ -342,8 +328,7 @@ def _filters_table(found: ComparedRuns) -> str:
             for group, kind, score in means
         ]
         online = np.mean([found.mean(case, method, "online", "IDF1") for case in kinds["real"]])
-        ms = np.median([_ms(found, case, method, ()) for case in found.sequences])
-        rows.append((name, *(f"{cell:.1f}" for cell in (*cells, online)), f"{ms:.2f}"))
+        rows.append((name, *(f"{cell:.1f}" for cell in (*cells, online))))
     return table(header, rows)
 
 
