@@ -34,8 +34,8 @@ PAGE = ROOT / "docs" / "api" / "settings.md"
 WIDTH = 100
 # Sections that a tracker does not use: it is given the boxes, and embeddings of them.
 OF_A_RUN = ("detector", "embedding")
-# A word is a sequence of words too: these types refuse it where several are expected.
-WORDS = "list[str] | tuple[str, ...]"
+# Names of classes, in order or by number. A word is a sequence of words too: these types refuse it.
+WORDS = "list[str] | tuple[str, ...] | Mapping[int, str]"
 
 MODULE_HEAD = '''"""Types of the settings in Python code, for type checkers and editors.
 

@@ -161,3 +161,14 @@ def test_a_saved_state_goes_on_and_a_step_holds_all_classes(settings) -> None:
     assert np.abs(step.estimates.xyxy - found.xyxy[seen])[seen >= 0].max() < 60
     assert len(set(step.estimates.tag.tolist())) == len(step.estimates)
     assert len(first.states) == 2 - len(settings)
+
+
+def test_names_may_be_a_table_by_number():
+    """As a model of Ultralytics has them; a class without a name has its number."""
+    by_number = Tracker(SIZE, classes={"names": {0: "person", 2: "car"}, "only": ["car"]})
+    assert by_number.classes.names == {0: "person", 1: "1", 2: "car"}
+    assert by_number.classes.only == (2,)
+    words = Tracker(SIZE, classes={"names": {"1": "car", "0": "person"}})
+    assert words.classes.names == {0: "person", 1: "car"}
+    with pytest.raises(InputError, match="there is no class names"):
+        Tracker(SIZE, classes={"names": {"min_score": 0.3}})

@@ -196,6 +196,8 @@ def test_whole_numbers_may_be_floats():
     assert tracker.update(boxes(0), frame=3.0).frame.tolist() == [3, 3]
     with pytest.raises(InputError, match="expected a frame number from 1 to 10,000,000,000"):
         tracker.update(boxes(1), frame=2**63)
+    with pytest.raises(InputError, match=r"got 0\. A loop that counts from 0 says frame=k \+ 1"):
+        tracker.update(boxes(1), frame=0)
     assert tracker.update(boxes(1), frame=np.int64(4), timestamp=np.float64(1)).frame.tolist() == [
         4,
         4,

@@ -277,6 +277,7 @@ class Tracker:
             raise InputError(
                 f"expected a frame number from 1 to {LAST_FRAME:,}, got {number}",
                 where="update(frame=…)",
+                cure="A loop that counts from 0 says frame=k + 1." if number == 0 else "",
             )
         if timestamp is not None:
             return number, _number(timestamp, f"frame {number}, update(timestamp=…)")
@@ -364,9 +365,9 @@ class Tracker:
         the first updates.
 
         Another tracker of the same settings gets frames of made-up boxes; the results of this one
-        stay the same to the bit. Without it the first update of a new installation takes
-        some ten seconds, which the logger ``phdtrack`` says, and that of each later process one or
-        two.
+        stay the same to the bit. Without it the first update of a new installation takes about
+        half a minute, which the logger ``phdtrack`` says, and that of each later process one or
+        two seconds.
         """
         pipelines = ClassPipelines(self.classes, self.seed)
         seen = StreamSeen()

@@ -699,7 +699,8 @@ class Tracks:
     ----------
     frame, identity : (M,) int64 from 1.
     xyxy : (M, 4) float64, pixels.
-    confidence : (M,) float64 in [0, 1].
+    confidence : (M,) float64 in [0, 1], the probability that the object exists, by all that the
+        tracker knows of it; the detector's score of a row is that of its ``detection``.
     detection : (M,) `Detections.row` of the detection that the row rests on: its index among the
         detections of that frame as the caller gave them; −1: predicted or bridged.
     confirmed : (M,) bool; False for rows given before the track was long enough to be confirmed.

@@ -83,6 +83,10 @@ def test_ultralytics_result(wrapped: Any) -> None:
         ([-9, 5, 0, 9], "1 of 2 boxes lie outside the frame of 640x480 pixels"),
         ([10, 480, 20, 500], "1 of 2 boxes lie outside"),
         ([-9, -9, 1, 1], ""),
+        (
+            [10, 500, 20, 600],
+            "1 of 2 boxes lie outside the frame of 640x480 pixels: perhaps it is 480 wide and 640",
+        ),
     ],
 )
 def test_boxes_outside_the_frame_are_reported(box: list[float], words: str) -> None:
@@ -95,6 +99,9 @@ def test_boxes_in_shares_of_the_frame_are_reported() -> None:
         as_detections([[0.1, 0.2, 0.3, 0.9]]), (640, 480)
     )
     assert unit_warning(as_detections([]), (640, 480)) == ""
+    # Neither a box that has left at the top, nor one that is outside either way.
+    for box in ([-9, 5, 0, 9], [700, 5, 710, 9]):
+        assert unit_warning(as_detections([box]), (640, 480)).endswith("640x480 pixels")
 
 
 def test_sizes_in_place_of_corners_are_reported() -> None:
@@ -105,6 +112,7 @@ def test_sizes_in_place_of_corners_are_reported() -> None:
         tracker.update([[300 + k, 200, 40, 80], [10, 15, 30, 60], [9, 80, 40, 60]])
     assert len([each for each in said if "left, top, width, height" in each]) == 1
     assert "2 of 3 boxes end before they begin" in said[-1]
+    assert "or centre, width, height" in said[-1]
     # A detector may give a box without area, or a wrong one among others.
     assert sizes_warning(as_detections([[50, 50, 50, 60]])) == ""
     assert sizes_warning(as_detections([[50, 50, 40, 60], [50, 50, 60, 60]])) == ""

@@ -51,6 +51,7 @@ Tracker(SIZE, scene={"file": "street.scene.json", "use": ["births"]})
 Tracker(SIZE, classes={"together": [[2, 7], ["car", "van"]], "only": ("person", 2)})
 Tracker(SIZE, classes={"person": {"min_score": 0.3, "sensor": {"box_noise": 0.1}}})
 Tracker(SIZE, classes={"names": ["person", "car"], "car": {"min_size": 20}})
+Tracker(SIZE, classes={"names": {0: "person", 2: "car"}})
 Tracker(SIZE, filter="pmbm" if tracker.highest else "pmb", common_motion={"kind": "none"})
 
 

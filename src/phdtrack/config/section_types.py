@@ -932,8 +932,9 @@ class ClassesSection(TypedDict, total=False):
     """Classes that the detector confuses, as [["car", "truck"]]; a track may change between
     them."""
 
-    names: list[str] | tuple[str, ...]
-    """Names of the classes 0, 1, 2, …, if the detections have numbers only."""
+    names: list[str] | tuple[str, ...] | Mapping[int, str]
+    """Names of the classes 0, 1, 2, …, if the detections have numbers only; or a table of number
+    and name, such as the names of a model of Ultralytics."""
 
 
 class TrackerSections(TypedDict, total=False):

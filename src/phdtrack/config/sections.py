@@ -96,7 +96,8 @@ class ClassOptions:
     only : classes that are tracked; none: all.
     together : classes that the detector confuses, as [["car", "truck"]]; a track may change between
         them.
-    names : names of the classes 0, 1, 2, …, if the detections have numbers only.
+    names : names of the classes 0, 1, 2, …, if the detections have numbers only; or a table of
+        number and name, such as the ``names`` of a model of Ultralytics.
     """
 
     only: tuple[Label, ...] = ()

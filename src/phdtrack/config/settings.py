@@ -48,6 +48,8 @@ Values = dict[str, Any]
 # are made every half minute, so that each has half a minute of its past at least, and is smoothed
 # three times.
 STREAM_HISTORY = 90.0
+# The greatest number of a class in a table of names.
+_LAST_CLASS = 9999
 # Sections whose settings the part checks that they are of.
 _CHECKED_BY_PART = ("detector", "embedding")
 # Sections with two rates, of which one is 0: in the neighbourhood of a box, and everywhere.
@@ -264,8 +266,23 @@ def _entries(sections: Mapping[str, Any], where: str) -> list[_Entry]:
             raise InputError(
                 f"expected a section [{section}] with names and values, got {values!r}", where=where
             )
+        if section == "classes" and "names" in values:
+            values = {**values, "names": _in_order(values["names"])}
         entries += [_Entry(section, name, value, where) for name, value in values.items()]
     return entries
+
+
+def _in_order(names: Any) -> Any:
+    """Names of classes by number as a list, in which a class without a name has its number; what is
+    no such table stays as it is.
+    """
+    if not isinstance(names, Mapping) or not names:
+        return names
+    words = [str(number) for number in names]
+    if not all(word.isdecimal() and int(word) <= _LAST_CLASS for word in words):
+        return names
+    known = {int(word): name for word, name in zip(words, names.values(), strict=True)}
+    return [known.get(number, str(number)) for number in range(max(known) + 1)]
 
 
 def _replaced(settings: Settings, entries: Iterable[_Entry]) -> Settings:

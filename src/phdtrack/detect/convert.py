@@ -342,8 +342,11 @@ def unit_warning(found: Detections, size: tuple[float, float]) -> str:
     if left < size[0] and top < size[1] and least > 0:
         return ""
     outside = ((found.xyxy[:, 2:] <= 0) | (found.xyxy[:, :2] >= size)).any(axis=1).sum()
+    beyond = left >= size[0] or top >= size[1]
+    swapped = beyond and right <= size[1] and bottom <= size[0]
     return (
         f"{outside} of {len(found)} boxes lie outside the frame of {size[0]:g}x{size[1]:g} pixels"
+        + (f": perhaps it is {size[1]:g} wide and {size[0]:g} high" if swapped else "")
     )
 
 
@@ -356,8 +359,9 @@ def sizes_warning(found: Detections) -> str:
         return ""
     return (
         f"{wrong} of {len(found)} boxes end before they begin: boxes must be left, top, right,"
-        " bottom, and these look like left, top, width, height; boxes[:, 2:] += boxes[:, :2]"
-        " converts them"
+        " bottom, and these look like left, top, width, height (boxes[:, 2:] += boxes[:, :2]"
+        " converts them) or centre, width, height (boxes[:, :2] -= boxes[:, 2:] / 2 comes before"
+        " that; of Ultralytics pass the result, or its boxes.xyxy)"
     )
 
 

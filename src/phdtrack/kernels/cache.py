@@ -31,12 +31,12 @@ from phdtrack.kernels.second_compiler import SECOND
 
 _LOG = logging.getLogger(__name__)
 _COMPILING = (
-    "phdtrack compiles its kernels (ten seconds or more, once on this machine: they are kept for"
-    " the next runs; `phdtrack warm-up`, or warm_up() of a Tracker, does so before the first"
-    " frame) ..."
+    "phdtrack compiles its kernels (half a minute or more; what is used for the first time later,"
+    " such as corrected tracks, is compiled then. They are kept on this machine for the next runs;"
+    " `phdtrack warm-up`, or warm_up() of a Tracker, compiles all before the first frame) ..."
 )
 _ALWAYS_COMPILING = (
-    "phdtrack compiles its kernels (ten seconds or more, and so in every run: neither the"
+    "phdtrack compiles its kernels (half a minute or more, and so in every run: neither the"
     " installation nor the home folder can be written into; set NUMBA_CACHE_DIR to a folder that"
     " can) ..."
 )
