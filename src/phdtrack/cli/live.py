@@ -36,7 +36,7 @@ from phdtrack.live.events import Watch
 from phdtrack.live.home_assistant import HomeAssistant
 from phdtrack.live.outputs import stamp
 from phdtrack.run import directory as rundir
-from phdtrack.run.choices import scene_settings
+from phdtrack.run.choices import scene_settings, unused_options
 from phdtrack.run.requests import DEFAULT_DETECTOR, TrackingRequest, refuse
 from phdtrack.run.window import Window, check_windows
 from phdtrack.video.live_sources import LiveSource, SourceStatus, check_address
@@ -75,7 +75,7 @@ class LiveOptions:
         list[str] | None, option("URL", "Post each event to this address. Repeatable.")
     ] = None
     allow_private: Annotated[
-        bool, typer.Option("--allow-private", help="Webhooks may be in private networks.")
+        bool, typer.Option("--allow-private", help="A --webhook may be in a private network.")
     ] = False
     mqtt: Annotated[
         str, option("URL", "Publish each event: mqtt://[user:password@]host[:port]/topic.")
@@ -131,7 +131,11 @@ def live(
     make = CameraSetup(options, tuple(scene_settings(scene)), detector, max_width, mask, learn)
     settings = make.settings()
     known = class_names(make.new_detector(settings, max_width or 0))
-    output.warn(list(make.described_by(settings).guesses))
+    described = make.described_by(settings)
+    output.warn(described.guesses)
+    output.warn(unused_options(options, settings, described=described.describer is not None))
+    if write.allow_private and not write.webhook:
+        output.warn(["--allow-private has no effect without --webhook: leave it out"])
     addresses = named_sources(sources)
     for url in write.webhook or []:
         Webhook(_with_secrets(url, "--webhook"))

@@ -260,8 +260,8 @@ _LOOKS = (
 )
 Appearance = Annotated[str, option("NAME", _LOOKS, autocompletion=listed(": colours, none"))]
 _RETURNS = (
-    "Seconds within which a lost object that looks the same gets its identity back. Default: no"
-    " limit; it gets it if that is likelier than a new object."
+    "With --appearance: seconds within which a lost object that looks the same gets its identity"
+    " back. Default: no limit; it gets it if that is likelier than a new object."
 )
 ReidentifyWithin = Annotated[float | None, option("S", _RETURNS, min=0.0)]
 

@@ -41,12 +41,39 @@ def chosen_settings(
         )
     if tracking.threads is None:
         return settings
-    # Filter and extraction, if they can use more than one.
-    parallel = [
+    stated = {name: {"threads": tracking.threads} for name in _parallel(settings)}
+    return overlay(settings, cast("Sections", stated), "--threads")
+
+
+def _parallel(settings: Settings) -> list[str]:
+    """Filter and extraction, if they can use more than one thread."""
+    return [
         name for name in ("filter", "extract") if "threads" in settable(name, settings.kind(name))
     ]
-    stated = {name: {"threads": tracking.threads} for name in parallel}
-    return overlay(settings, cast("Sections", stated), "--threads")
+
+
+def unused_options(
+    tracking: TrackingRequest, settings: Settings, *, described: bool
+) -> tuple[str, ...]:
+    """Sentences about options of tracking that have no effect without another one.
+
+    Parameters
+    ----------
+    tracking, settings : the options, and the settings that they lead to.
+    described : whether it is known what the boxes look like.
+    """
+    found = list[str]()
+    if tracking.reidentify_within is not None and not described:
+        found.append(
+            "--reidentify-within has no effect: it is not known what the objects look like. Say"
+            " --appearance, for example colours, or leave it out."
+        )
+    if tracking.threads is not None and not _parallel(settings):
+        found.append(
+            f"--threads has no effect: the filter {settings.kind('filter')} has one thread. Say"
+            " --filter particle-phd or particle-cphd, or leave it out."
+        )
+    return tuple(found)
 
 
 def only_classes(text: str) -> list[str]:

@@ -23,7 +23,7 @@ from phdtrack.multiclass import ClassSettings
 from phdtrack.report import About
 from phdtrack.run import directory as rundir
 from phdtrack.run.camera_motion import mover_of
-from phdtrack.run.choices import chosen_settings, scene_settings
+from phdtrack.run.choices import chosen_settings, scene_settings, unused_options
 from phdtrack.run.descriptors import with_descriptors
 from phdtrack.run.detection_log import source_of
 from phdtrack.run.directory import RunDirectory
@@ -31,7 +31,14 @@ from phdtrack.run.environment import HOME, detecting_packages, sources_digest, v
 from phdtrack.run.inputs import Inputs, open_inputs, request_conventions
 from phdtrack.run.observers import CameraObserver, RunObserver
 from phdtrack.run.reporter import SILENT, Reporter
-from phdtrack.run.requests import ReadingRequest, RunRequest, SourceRequest, frame_range, refuse
+from phdtrack.run.requests import (
+    VIDEO_SIZE,
+    ReadingRequest,
+    RunRequest,
+    SourceRequest,
+    frame_range,
+    refuse,
+)
 from phdtrack.run.running import RunOptions
 from phdtrack.run.scene_pass import can_flicker
 from phdtrack.run.video import RunResult, run
@@ -134,7 +141,12 @@ def prepare(
     inputs = replace(
         inputs,
         files=(*inputs.files, *_read_files(request, settings)),
-        warnings=(*notices, *guesses(inputs.detector), *inputs.warnings),
+        warnings=(
+            *notices,
+            *_unused(request, settings, inputs),
+            *guesses(inputs.detector),
+            *inputs.warnings,
+        ),
     )
     settings = config.for_run(settings, endless=not inputs.again)
     classes = config.build_classes(settings, inputs.info, inputs.names, inputs.classes, moving=True)
@@ -180,6 +192,16 @@ def _check(request: RunRequest) -> None:
         problem = "expected a video, got the directory of a run"
         cure = "Name the video, or give detections with --detections."
         raise InputError(problem, where=source, cure=cure)
+
+
+def _unused(request: RunRequest, settings: Settings, inputs: Inputs) -> tuple[str, ...]:
+    """Sentences about options that have no effect without another one."""
+    described = bool(inputs.descriptors.name)
+    found = unused_options(request.tracking, settings, described=described)
+    if request.video or request.video_size == VIDEO_SIZE:
+        return found
+    sentence = "--video-size has no effect with --no-video: no video is written. Leave one out."
+    return (*found, sentence)
 
 
 def _read_files(request: RunRequest, settings: Settings) -> tuple[object, ...]:

@@ -20,6 +20,8 @@ DEFAULT_APPEARANCE = "none"
 """The source of embeddings if the user names none and no run has kept them."""
 CHECKPOINT_EVERY = 10.0
 """Seconds between checkpoints by default."""
+VIDEO_SIZE = 1920
+"""Longer side of annotated.mp4 by default, pixels."""
 FrameRange = tuple[int, int]
 """The first and the last frame to track; 0 for the end."""
 WHOLE: FrameRange = (1, 0)
@@ -187,7 +189,7 @@ class RunRequest:
     tracking: TrackingRequest = field(default_factory=TrackingRequest)
     output: OutputRequest = field(default_factory=OutputRequest)
     video: bool = True
-    video_size: int = 1920
+    video_size: int = VIDEO_SIZE
     camera_motion: str = ""
     checkpoint_every: float = CHECKPOINT_EVERY
     frames: str = ""
