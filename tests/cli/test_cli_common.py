@@ -162,6 +162,25 @@ def test_quiet_shows_no_progress(
     assert shown == [False, True]
 
 
+def test_progress_has_plain_lines_without_a_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    with Output().progress("tracking") as advance, Output().progress("drawing") as inner:
+        for done in range(1, 101):
+            now[0] += 1.0
+            advance(done, total=200, description="learning the background (1 of 2)")
+            inner(done)
+    printed = capsys.readouterr().err.splitlines()
+    first = "phdtrack: learning the background (1 of 2)"
+    assert printed == [f"{first} {done}/200" for done in (30, 60, 90)]
+    with Output(quiet=True).progress("tracking") as advance:
+        now[0] += 100.0
+        advance(7)
+    assert capsys.readouterr().err == ""
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_says_what_it_does(command: str) -> None:
     """The one sentence of the list of commands begins the help of the command."""

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
@@ -34,6 +35,7 @@ from phdtrack.run.inputs import Inputs, expected_end
 from phdtrack.run.observers import RunObserver
 from phdtrack.run.pipeline_threads import DEPTH
 from phdtrack.run.preparation import PreparedRun
+from phdtrack.run.reporter import Advance, Silent
 from phdtrack.run.running import RunOptions
 from phdtrack.run.video import RunResult
 from phdtrack.tracker import Tracker
@@ -236,6 +238,54 @@ def test_nothing_computed_leaves_nothing(job: PreparedRun, directory: rundir.Run
     with pytest.raises(InputError, match="frame 1"):
         reading(job, error=InputError("bad", where="clip, frame 1"), at=1).run(directory)
     assert [path.name for path in directory.path.iterdir()] == ["notes.txt"]
+
+
+class Listener(Silent):
+    """Keeps what a run reports of its progress, and why it stops."""
+
+    def __init__(self) -> None:
+        self.steps = list[tuple[int, object, object]]()
+        self.stops = list[str]()
+
+    def progress(self, title: str, total: int = 0) -> AbstractContextManager[Advance]:
+        def advance(done: int, **more: object) -> None:
+            self.steps.append((done, more.get("total"), more.get("description")))
+
+        return nullcontext(advance)
+
+    def stopping(self, sentence: str) -> None:
+        self.stops.append(sentence)
+
+
+def test_the_first_of_two_readings_is_shown(
+    job: PreparedRun, directory: rundir.RunDirectory
+) -> None:
+    job = reading(job, announced=FRAMES)
+    listener = Listener()
+    replace(job, inputs=replace(job.inputs, detector=Scholar())).run(directory, listener)
+    first = "learning the background (1 of 2)"
+    assert (FRAMES - 1, FRAMES, first) in listener.steps
+    second = (FRAMES, FRAMES, "tracking (2 of 2)")
+    assert listener.steps.index(second) > listener.steps.index((FRAMES, FRAMES, first))
+
+
+def test_one_reading_is_only_tracking(job: PreparedRun, directory: rundir.RunDirectory) -> None:
+    listener = Listener()
+    job.run(directory, listener)
+    assert not [step for step in listener.steps if " of 2)" in str(step[2])]
+
+
+def test_a_stop_in_the_first_reading_is_told(
+    job: PreparedRun, directory: rundir.RunDirectory
+) -> None:
+    job = reading(job, error=KeyboardInterrupt(), at=13)
+    listener = Listener()
+    with pytest.raises(KeyboardInterrupt):
+        replace(job, inputs=replace(job.inputs, detector=Scholar())).run(directory, listener)
+    assert len(listener.stops) == 1
+    assert listener.stops[0].startswith("stopped during the first of two readings of the video")
+    assert "nothing is kept (--detector mog2 reads it once)" in listener.stops[0]
+    assert not list(directory.path.iterdir())
 
 
 @pytest.mark.parametrize("at", [0, 13])

@@ -10,6 +10,7 @@ import logging
 import math
 import re
 import sys
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,6 +24,10 @@ from phdtrack.files import json_value
 from phdtrack.run.reporter import Advance
 
 _SHOWN = list[Any]()
+# The time at which the next line of progress is due, where stderr is no terminal; of the outermost
+# progress that goes on.
+_DUE = list[float]()
+_LINE_EVERY = 30.0
 # Messages about work under way, as the compilation of kernels: `Output.quiet` sets its level.
 _WORK = logging.getLogger("phdtrack.kernels")
 # For hours of work: the pace of the last half minute would not predict its end.
@@ -75,7 +80,8 @@ class Output:
 
     @contextmanager
     def progress(self, title: str, total: int = 0, pace: float = 30.0) -> Iterator[Advance]:
-        """Show a bar on stderr if that is a terminal, unless `quiet`; nothing otherwise.
+        """Show a bar on stderr if that is a terminal, and a line in half a minute at most
+        otherwise; nothing if `quiet`.
 
         Parameters
         ----------
@@ -87,8 +93,18 @@ class Output:
         -------
         The function to call with the number of steps done so far.
         """
-        if self.quiet or not sys.stderr.isatty():
+        if self.quiet:
             yield lambda done, **_: None
+            return
+        if not sys.stderr.isatty():
+            outermost = not _DUE
+            if outermost:
+                _DUE.append(time.monotonic() + _LINE_EVERY)
+            try:
+                yield _Lines(self, title, total)
+            finally:
+                if outermost:
+                    _DUE.clear()
             return
         if _SHOWN:
             # One display for the whole: a bar within another one goes below it.
@@ -130,6 +146,30 @@ class Output:
                 for i, (cell, width) in enumerate(pairs)
             ]
             self.say("  ".join(cells).rstrip())
+
+
+class _Lines:
+    """Prints now and then how far it got."""
+
+    def __init__(self, output: Output, title: str, total: int) -> None:
+        self._output = output
+        self._title = title
+        self._total: int | None = total
+
+    def __call__(
+        self, done: int, *, total: int | None = -1, description: str = "", **more: object
+    ) -> None:
+        """Take in the number of steps done so far, and ``total`` and ``description`` if they
+        change.
+        """
+        self._title = description or self._title
+        if total is None or total >= 0:
+            self._total = total
+        now = time.monotonic()
+        if _DUE and now >= _DUE[0]:
+            _DUE[0] = now + _LINE_EVERY
+            end = f"/{self._total}" if self._total else ""
+            self._output.note(f"{self._title} {done}{end}")
 
 
 def use_replacements() -> None:

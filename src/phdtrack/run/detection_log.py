@@ -35,7 +35,7 @@ from phdtrack.errors import InputError
 from phdtrack.files import cannot_write, json_value, part_of, publish, whole
 from phdtrack.run.camera_motion import Mover
 from phdtrack.run.directory import DETECTED, KNOWN, LOG, RunDirectory
-from phdtrack.run.inputs import Inputs, study_scene
+from phdtrack.run.inputs import Inputs, Watch, study_scene
 from phdtrack.run.loop import NO_PICTURE, DetectedFrame, detect_frames
 from phdtrack.run.pipeline_threads import ahead
 from phdtrack.state import blocks, from_bytes, to_bytes
@@ -121,7 +121,7 @@ class DetectionLog:
 
     @contextmanager
     def detected_frames(
-        self, inputs: Inputs, mover: Mover | None = None
+        self, inputs: Inputs, mover: Mover | None = None, watch: Watch | None = None
     ) -> Iterator[Iterator[DetectedFrame]]:
         """Every frame with its detections, as `inputs.detected_frames`; those before the
         checkpoint, or all that an earlier run detected, are read from the log.
@@ -131,12 +131,16 @@ class DetectionLog:
             source = prepared(inputs.detector, inputs.source)
         with (
             ahead(source) as pictures,
-            ahead(self.detect(inputs, pictures, mover)) as detected,
+            ahead(self.detect(inputs, pictures, mover, watch)) as detected,
         ):
             yield detected
 
     def detect(
-        self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None = None
+        self,
+        inputs: Inputs,
+        frames: Iterator[Frame],
+        mover: Mover | None = None,
+        watch: Watch | None = None,
     ) -> Iterator[DetectedFrame]:
         """Each frame with its detections, from the log, or from the detector into the log.
 
@@ -144,12 +148,16 @@ class DetectionLog:
         ----------
         inputs, frames : the detector, and the frames.
         mover : the camera's motion; None for a camera that stands still.
+        watch : as `study_scene` takes it.
         """
         checkpoint = self.checkpoint
         if self.reused:
             yield from self._reused(inputs, frames, mover)
             return
-        study_scene(inputs)
+        if watch is None:
+            study_scene(inputs)
+        else:
+            study_scene(inputs, watch)
         if checkpoint is not None:
             yield from self._logged(inputs, frames, mover, checkpoint)
         with self._log.open("r+b" if checkpoint else "wb", buffering=0) as log:

@@ -7,7 +7,7 @@ detector looks its boxes up by frame number.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -51,7 +51,7 @@ from phdtrack.run.requests import (
     refuse,
 )
 from phdtrack.run.standard_input import open_standard_input
-from phdtrack.types import DetectionTable, SequenceInfo
+from phdtrack.types import DetectionTable, Frame, SequenceInfo
 from phdtrack.video import VideoSource, open_source
 
 TABLES = (".txt", ".csv", ".tsv", ".json", ".jsonl", ".xml", ".parquet")
@@ -119,9 +119,22 @@ class Inputs:
     descriptors: Descriptors = NO_DESCRIPTORS
 
 
-def study_scene(inputs: Inputs) -> None:
+Watch = Callable[[int, int], None]
+"""Takes the number of frames that were read of so many, 0 if that is unknown."""
+
+
+def _unwatched(done: int, total: int) -> None:
+    """Watch nothing."""
+
+
+def study_scene(inputs: Inputs, watch: Watch = _unwatched) -> None:
     """Let a detector that learns the scene study a file before its first frame: all of it,
     whatever part is tracked.
+
+    Parameters
+    ----------
+    inputs : frames and detector.
+    watch : called for each frame that is read, if any are.
     """
     studies = isinstance(unwrapped(inputs.detector), StudiesScene)
     if not (studies and inputs.pictures and inputs.again):
@@ -131,9 +144,19 @@ def study_scene(inputs: Inputs) -> None:
         # Numba itself takes a third of a second to start; the samples are decoded meanwhile.
         loading = beside(_load_first_kernel)
     whole = replace(inputs.source, first=1, last=0)
+
+    def watched(frames: Iterable[Frame], total: int) -> Iterator[Frame]:
+        for frame in frames:
+            watch(frame.number, total)
+            yield frame
+
+    def sample(count: int) -> Iterator[Frame]:
+        return watched(inputs.source.sample(count), count)
+
+    watch(0, 0)
     # At most two pictures at a time: the samples take memory, too.
     with loading, ahead(whole, 1) as frames:
-        study(inputs.detector, frames, inputs.source.sample)
+        study(inputs.detector, watched(frames, inputs.source.announced), sample)
     return_memory()
 
 
@@ -144,10 +167,17 @@ def _load_first_kernel() -> None:
 
 @contextmanager
 def detected_frames(
-    inputs: Inputs, mover: Mover | None = None
+    inputs: Inputs, mover: Mover | None = None, watch: Watch = _unwatched
 ) -> Iterator[Iterator[DetectedFrame]]:
-    """Every frame with its detections; decoding and detecting overlap with what follows."""
-    study_scene(inputs)
+    """Every frame with its detections; decoding and detecting overlap with what follows.
+
+    Parameters
+    ----------
+    inputs : frames and detector.
+    mover : the camera's motion; None for a camera that stands still.
+    watch : as `study_scene` takes it.
+    """
+    study_scene(inputs, watch)
     with (
         ahead(prepared(inputs.detector, inputs.source)) as pictures,
         ahead(

@@ -47,6 +47,10 @@ if TYPE_CHECKING:
     from phdtrack.metrics import Scores
 
 _STOPPED = "stopped after frame {}; its files are being completed"
+_STOPPED_STUDY = (
+    "stopped during the first of two readings of the video, in which the detector learns the"
+    " background: no frame is tracked yet, and nothing is kept (--detector mog2 reads it once)"
+)
 SAMPLE = 1000
 """Frames of a source without an end that the report shows, and charts of so many."""
 CHARTED = 100_000
@@ -190,7 +194,8 @@ def _track(run: Run, advance: Advance, lesson: SceneLesson | None = None) -> Pro
         more = (lesson,)
     if run.options.viewer is not None:
         more = (*more, run.options.viewer)
-    _follow(first, progress, _detected(run, log), advance, more)
+    study = _Study(advance)
+    _follow(first, progress, _detected(run, log, study), study, more)
     problems = (inputs.source.problem, log.problem if log else "")
     progress.source_problem = ". ".join(filter(None, problems))
     return progress
@@ -214,16 +219,16 @@ def _follow(
     run: Run,
     progress: Progress,
     detections: AbstractContextManager[Iterator[DetectedFrame]],
-    advance: Advance,
+    study: _Study,
     more: Sequence[FrameObserver] = (),
 ) -> None:
     """Frames with their detections through the tracker, into files and record, and to ``more``
-    observers, until they end or something stops it.
+    observers, until they end or something stops it. ``study`` shows the progress.
     """
     tracker = progress.tracker
     with ExitStack() as files:
         written = RunFiles(run, progress, files)
-        pace = _Pace(run, progress, files, advance)
+        pace = _Pace(run, progress, files, study)
         try:
             with detections as detected:
                 record = _Record(run, progress)
@@ -233,7 +238,10 @@ def _follow(
             progress.stop = as_interrupt(stop)
         written.rest()
         if isinstance(progress.stop, KeyboardInterrupt):
-            run.reporter.stopping(_STOPPED.format(progress.last))
+            if study.begun and not progress.frames:
+                run.reporter.stopping(_STOPPED_STUDY)
+            else:
+                run.reporter.stopping(_STOPPED.format(progress.last))
 
 
 def _track_again(
@@ -261,7 +269,8 @@ def _track_again(
     progress = _begun(run)
     known = first.tracker.warnings
     progress.tracker.on_warning = lambda each: run.reporter.warn({each}.difference(known))
-    _follow(run, progress, nullcontext(iter(lesson.frames)), advance)
+    again = _Study(advance, "tracking again")
+    _follow(run, progress, nullcontext(iter(lesson.frames)), again)
     progress.recorder.keep_picture_of(first.recorder)
     # The second pass counts as what follows the loop.
     progress.seconds = first.seconds
@@ -292,12 +301,39 @@ def _detection_log(run: Run) -> DetectionLog | None:
 
 
 def _detected(
-    run: Run, log: DetectionLog | None
+    run: Run, log: DetectionLog | None, study: _Study
 ) -> AbstractContextManager[Iterator[DetectedFrame]]:
-    """Every frame with its detections."""
+    """Every frame with its detections; ``study`` shows how the detector learns the scene."""
     if log is None:
-        return detected_frames(run.inputs, run.options.mover)
-    return log.detected_frames(run.inputs, run.options.mover)
+        return detected_frames(run.inputs, run.options.mover, study.watch)
+    return log.detected_frames(run.inputs, run.options.mover, study.watch)
+
+
+class _Study:
+    """Shows the progress of both readings of a file from which a detector learns the background
+    first, or of the only one.
+
+    Attributes
+    ----------
+    begun : whether there is a first reading.
+    """
+
+    def __init__(self, advance: Advance, title: str = "tracking") -> None:
+        self.begun = False
+        self.advance = advance
+        self._title = title
+
+    @property
+    def title(self) -> str:
+        """The description of the tracking."""
+        if self.begun:
+            return f"{self._title} (2 of 2)"
+        return self._title
+
+    def watch(self, done: int, total: int) -> None:
+        """Show how far the first reading is, as `inputs.study_scene` reports it."""
+        self.begun = True
+        self.advance(done, total=total or None, description="learning the background (1 of 2)")
 
 
 class _Record:
@@ -324,10 +360,10 @@ class _Record:
 class _Pace:
     """Measures the time of frames, and shows how far the run got."""
 
-    def __init__(self, run: Run, progress: Progress, files: ExitStack, advance: Advance) -> None:
+    def __init__(self, run: Run, progress: Progress, files: ExitStack, study: _Study) -> None:
         self._source = run.inputs.source
         self._progress = progress
-        self._advance = advance
+        self._study = study
         # To load or to compile a kernel for arguments of new types Numba takes a lock, which is
         # recorded.
         self._locks = files.enter_context(event.install_recorder("numba:compiler_lock"))
@@ -336,8 +372,8 @@ class _Pace:
     def take(self, tracked: TrackedFrame) -> None:
         """Add the time since the last frame, unless kernels were compiled meanwhile."""
         progress = self._progress
-        end = expected_end(self._source, progress.frames, "tracking")
-        self._advance(progress.frames, **end)
+        end = expected_end(self._source, progress.frames, self._study.title)
+        self._study.advance(progress.frames, **end)
         before = self._clock
         self._clock = time.perf_counter()
         if self._locks.buffer or progress.frames == 1:
