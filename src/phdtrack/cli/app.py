@@ -12,8 +12,9 @@ import functools
 import gc
 import inspect
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
 from importlib import import_module
 from typing import Annotated, Any
@@ -71,6 +72,8 @@ _SWITCH = 1e-5
 # Containers made after which the interpreter looks for garbage, 700 by default: loading modules and
 # kernels makes hundreds of thousands that stay, and looking through them took a tenth of the time.
 _GARBAGE = 5_000
+# What versions of typer call a kind of number, and its name here.
+_NUMBERS = {"integer": "a whole number", "number": "a number", "float": "a number"}
 _MODULES = {"demo": "simulate", "settings": "show_settings", "warm-up": "warm_up"}
 _SUMMARY = (
     "From a video, or any detector's boxes, to tracks: a filter of random finite sets between"
@@ -230,6 +233,28 @@ def common(
 Misuse: type[Any] = typer.BadParameter.__bases__[0]
 
 
+def _in_own_words(sentence: str, words: Sequence[str]) -> str:
+    """The sentence about a word that is no number, whichever version of typer wrote it, as those of
+    other wrong values.
+
+    Parameters
+    ----------
+    sentence : of a command line that cannot be read.
+    words : of this line.
+    """
+    match = re.match(r"(Invalid value for '(?:-\w, )?(--[\w-]+)').*valid (\w+)", sentence)
+    if match is None or match[3] not in _NUMBERS:
+        return sentence
+    values = [
+        word.removeprefix(f"{match[2]}=") if word.startswith(f"{match[2]}=") else after
+        for word, after in zip(words, [*words[1:], ""], strict=True)
+        if word.partition("=")[0] == match[2]
+    ]
+    if not values:
+        return sentence
+    return f"{match[1]}: expected {_NUMBERS[match[3]]}, got {values[-1]!r}"
+
+
 def main() -> None:
     """The entry point of the installed command."""
     words = sys.argv[1:] or ["--help"]
@@ -251,7 +276,7 @@ def main() -> None:
     except Misuse as error:
         # One sentence for a command line that cannot be read, and where its help stands.
         where = getattr(error, "ctx", None)
-        sentence = " ".join(error.format_message().split())
+        sentence = _in_own_words(" ".join(error.format_message().split()), words)
         if sentence.endswith((".", "?")):
             end = ""
         else:

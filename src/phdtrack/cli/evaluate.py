@@ -82,7 +82,9 @@ def evaluate(
     truth: Annotated[
         Path, option("FILE", "Annotated objects: MOTChallenge's gt.txt, CSV, XML and others.")
     ],
-    tracks: Annotated[Path, option("FILE", "Tracks to score: MOTChallenge, CSV and others.")],
+    tracks: Annotated[
+        Path, option("FILE", "Tracks to score: MOTChallenge, CSV, others, or a run's directory.")
+    ],
     output: Output,
     asked: EvaluateOptions,
     iou: given.Iou = 0.5,
@@ -113,6 +115,8 @@ def evaluate(
     if not asked.errors:
         unused = {"--detections": asked.detections, "--worst": asked.worst != WORST}
         refuse(unused, "it goes with --errors only", "say --errors")
+    if (tracks / rundir.TRACKS).is_file():
+        tracks = tracks / rundir.TRACKS
     part = rundir.part_of_run(tracks)
     if part and part != "1-":
         missed = f"the run tracked the frames {part} alone, and objects of all others are missed"

@@ -238,11 +238,13 @@ class RunDirectory:
     path : the directory.
     files : what may be written, by name.
     lock : keeps other processes out; None without.
+    made : whether there was no such directory before.
     """
 
     path: Path
     files: Mapping[str, str]
     lock: _Lock | None = None
+    made: bool = False
 
     def file(self, name: str) -> Path:
         """The path of the file ``name``."""
@@ -265,6 +267,15 @@ class RunDirectory:
         for file in self.written():
             file.unlink()
         self.sweep()
+
+    def discard(self) -> None:
+        """Remove the files again, and the directory if this run made it and nothing else is in
+        it.
+        """
+        self.clear()
+        if self.made:
+            with suppress(OSError):
+                self.path.rmdir()
 
     def sweep(self) -> None:
         """Remove incomplete files of a run that was killed, and its checkpoint."""
@@ -377,6 +388,7 @@ def claim(
         for package in ("matplotlib", "cv2"):
             if find_spec(package) is None:
                 needed(package)
+    made = not path.exists()
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):
@@ -384,7 +396,7 @@ def claim(
         lock = _HELD.get(path.resolve())
         if lock is None and fcntl is not None:
             lock = _HELD[path.resolve()] = _Lock(path)
-        directory = RunDirectory(path, files, lock)
+        directory = RunDirectory(path, files, lock, made)
         if not resume:
             directory.clear()
     except BlockingIOError:

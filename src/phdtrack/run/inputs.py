@@ -55,6 +55,7 @@ from phdtrack.types import DetectionTable, Frame, SequenceInfo
 from phdtrack.video import VideoSource, open_source
 
 TABLES = (".txt", ".csv", ".tsv", ".json", ".jsonl", ".xml", ".parquet")
+SOUNDS = (".aac", ".aiff", ".flac", ".m4a", ".mp3", ".oga", ".ogg", ".opus", ".wav", ".wma")
 # Share of a file from which on the number of frames is estimated; from _CERTAIN on, fewer than
 # _CUT of those that its header announces are the sign of a file that was cut short.
 _ENOUGH = 0.03
@@ -412,7 +413,12 @@ def request_conventions(request: SourceRequest, reading: ReadingRequest) -> Conv
 
 
 def _frames(request: SourceRequest, part: FrameRange) -> VideoSource:
-    """The video. Raises `InputError` if the request names another frame size than its own."""
+    """The video. Raises `InputError` if the request names another frame size than its own, or a
+    sound file.
+    """
+    if Path(request.source).suffix.lower() in SOUNDS and readable_again(request.source):
+        problem = "expected a video, and by its name this is a sound file"
+        raise InputError(problem, where=request.source, cure="It has no pictures: name a video.")
     if readable_again(request.source):
         source = open_source(request.source, fps=request.fps, first=part[0], last=part[1])
         if source.times is None and not request.fps:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phdtrack.detect import BACKGROUND
 from phdtrack.files import write_text
 from phdtrack.report import RunRecord, report_html, run_document, sentences, write_run
 from phdtrack.report.object_list import HOUR, MINUTE, heatmap_csv, minutes_csv, objects_csv
@@ -39,6 +40,10 @@ _REUSED = (
 _HIDDEN = (
     "In all pictures {} of detections and tracks are hidden; objects that were neither detected nor"
     " tracked are visible."
+)
+_ONE_PICTURE = (
+    "one picture shows no motion, and the detector {} needs several: --detector person, or"
+    " onnx:FILE for a network, finds objects in a single picture"
 )
 # Tracks that are known to be right are not doubted.
 GOOD_MOTA = 0.5
@@ -217,6 +222,9 @@ def _problems(run: Run, progress: Progress) -> Iterator[str]:
     """Sentences about problems: losses of the source, and what stopped the run."""
     inputs = run.inputs
     yield from filter(None, (*inputs.warnings, inputs.source.note, progress.source_problem))
+    alone = progress.frames == 1 and progress.stop is None and "frames" not in run.options.read
+    if alone and inputs.described in BACKGROUND:
+        yield _ONE_PICTURE.format(inputs.described)
     annotated = 0
     if run.options.truth is not None:
         annotated = int(run.options.truth.frame.max(initial=0))

@@ -392,7 +392,7 @@ def _raise_if_nothing(run: Run, progress: Progress) -> None:
         progress.stop = InputError(source.problem, where="--frames")
     if not progress.summaries and progress.stop is not None:
         if not run.resume:
-            run.directory.clear()
+            run.directory.discard()
         raise progress.stop
 
 
