@@ -57,6 +57,13 @@ def words_of(example: str) -> list[str]:
     return shlex.split(example)[2:]
 
 
+def test_help_says_what_detectors_and_windows_cost() -> None:
+    text = " ".join(page("track").split())
+    assert "person (takes about thirty times as long as change), or onnx:FILE" in text
+    assert "Needs OpenCV with windows (opencv-python); the headless package has none." in text
+    assert "With --appearance: seconds within which a lost object" in text
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_page_is_plain_and_fits_a_terminal(name: str) -> None:
     text = page(name)

@@ -116,7 +116,10 @@ _SEQUENCE = "Which video of a COCO file with several to read; all: read them as 
 Sequence = Annotated[str, option("NAME", _SEQUENCE)]
 _FPS = "Frames per second. Default: from the video, or from seqinfo.ini beside the file."
 Fps = Annotated[float, option("F", _FPS, min=0.0)]
-_DETECTORS = "change (default), mean-background, mog2, face, person, or onnx:FILE for a network."
+_DETECTORS = (
+    "change (default), mean-background, mog2, face, person (takes about thirty times as long as"
+    " change), or onnx:FILE for a network."
+)
 Detector = Annotated[str, option("NAME", _DETECTORS, autocompletion=listed(_DETECTORS))]
 SOURCE = (
     "A video, a folder of images, a pattern of them in quotes, an address, or the number of a"
@@ -227,7 +230,11 @@ Blur = Annotated[
 Display = Annotated[
     bool,
     typer.Option(
-        "--display", help="Show the tracked frames in a window; Q in it ends, as Ctrl-C does."
+        "--display",
+        help=(
+            "Show the tracked frames in a window; Q in it ends, as Ctrl-C does. Needs OpenCV with"
+            " windows (opencv-python); the headless package has none."
+        ),
     ),
 ]
 Dwell = Annotated[
