@@ -5,6 +5,7 @@ impossible.
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,19 @@ def test_detections_alone(kind: str, sequence: Path, tmp_path: Path) -> None:
     assert document["scores"]["MOTA"] > 0.9
     assert document["input"] == {"source": "", "detections": str(sequence / "det" / "det.txt")}
     assert sorted(set(read_tracks(out / rundir.TRACKS).identity)) == [1, 2]
+
+
+def test_the_page_names_the_tables_without_header(sequence: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    said = phdtrack("track", "--detections", sequence / "det" / "det.txt", "--out", out)
+    assert said.status == 0, said.err
+    bare = {file.name for file in out.glob("*.csv") if file.read_text()[:1].isdigit()}
+    page = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "track-a-video.md"
+    named = re.search(r"\n(`[^\n]*) have no header line", page.read_text(encoding="utf-8"))
+    assert named is not None
+    assert set(re.findall(r"`([\w.]+)`", named[1])) == bare
+    rows = (out / rundir.DETECTIONS).read_text().splitlines()
+    assert {len(row.split(",")) for row in rows} == {11}
 
 
 def test_threads_reach_the_filter_and_change_nothing(sequence: Path, tmp_path: Path) -> None:
