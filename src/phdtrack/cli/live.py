@@ -25,6 +25,7 @@ from phdtrack.cli import options as given
 from phdtrack.cli import signals
 from phdtrack.cli.options import PageOptions, option, size
 from phdtrack.cli.output import Output, counted, json_text
+from phdtrack.config import Settings
 from phdtrack.detect.base import class_names
 from phdtrack.detect.moving_regions import reported_kind
 from phdtrack.errors import InputError
@@ -131,11 +132,7 @@ def live(
     make = CameraSetup(options, tuple(scene_settings(scene)), detector, max_width, mask, learn)
     settings = make.settings()
     known = class_names(make.new_detector(settings, max_width or 0))
-    described = make.described_by(settings)
-    output.warn(described.guesses)
-    output.warn(unused_options(options, settings, described=described.describer is not None))
-    if write.allow_private and not write.webhook:
-        output.warn(["--allow-private has no effect without --webhook: leave it out"])
+    output.warn(_doubts(make, settings, write))
     addresses = named_sources(sources)
     for url in write.webhook or []:
         Webhook(_with_secrets(url, "--webhook"))
@@ -192,6 +189,15 @@ def live(
             ]
         )
         raise typer.Exit(1)
+
+
+def _doubts(make: CameraSetup, settings: Settings, write: LiveOptions) -> Iterator[str]:
+    """Sentences about guesses, and about options that have no effect without another one."""
+    looks = make.described_by(settings)
+    yield from looks.guesses
+    yield from unused_options(make.tracking, settings, described=looks.describer is not None)
+    if write.allow_private and not write.webhook:
+        yield "--allow-private has no effect without --webhook: leave it out"
 
 
 def _told(camera: Camera) -> Iterator[str]:

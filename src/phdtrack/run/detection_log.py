@@ -125,6 +125,12 @@ class DetectionLog:
     ) -> Iterator[Iterator[DetectedFrame]]:
         """Every frame with its detections, as `inputs.detected_frames`; those before the
         checkpoint, or all that an earlier run detected, are read from the log.
+
+        Parameters
+        ----------
+        inputs : frames and detector.
+        mover : the camera's motion; None for a camera that stands still.
+        watch : as `study_scene` takes it; None to watch nothing.
         """
         source: Iterable[Frame] = inputs.source
         if not self.reused:
