@@ -40,9 +40,8 @@ def compose() -> dict[str, Any]:
 
 
 def container() -> dict[str, Any]:
-    """The only service of the compose file."""
-    (service,) = compose()["services"].values()
-    return service
+    """The service of the compose file that watches the cameras."""
+    return compose()["services"]["cameras"]
 
 
 def instruction(name: str) -> str:
@@ -97,6 +96,33 @@ def test_the_unit_restarts_and_may_write_only_its_folders() -> None:
     assert options(words)["--out"] == f"/var/lib/{service['StateDirectory']}"
     assert service["Environment"] == f"NUMBA_CACHE_DIR=/var/cache/{service['CacheDirectory']}"
     assert set(unit()) == {"Unit", "Service", "Install"}
+
+
+def test_the_unit_compiles_kernels_first_and_gives_up_on_errors() -> None:
+    service = unit()["Service"]
+    before = shlex.split(service["ExecStartPre"])
+    assert before[0] == shlex.split(service["ExecStart"])[0]
+    assert before[1] == "warm-up"
+    assert service["RestartPreventExitStatus"] == "2"
+    assert service["UMask"] == "0027"
+    text = (DEPLOY / "phdtrack.service").read_text(encoding="utf-8")
+    assert "extras\n# opencv, video and web" in text
+
+
+def test_the_container_compiles_kernels_first() -> None:
+    """In a service that ends, with the same kernels and no more rights."""
+    first = compose()["services"]["warm-up"]
+    service = container()
+    assert service["depends_on"] == {"warm-up": {"condition": "service_completed_successfully"}}
+    assert first["command"][0] == "warm-up"
+    assert first["volumes"] == [one for one in service["volumes"] if one.startswith("kernels:")]
+    for name in ("build", "image", "read_only", "tmpfs", "security_opt", "cap_drop"):
+        assert first[name] == service[name]
+
+
+def test_the_log_of_the_container_is_bounded() -> None:
+    options = container()["logging"]["options"]
+    assert set(options) == {"max-size", "max-file"}
 
 
 def test_the_container_is_built_from_this_folder() -> None:
