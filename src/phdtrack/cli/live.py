@@ -36,6 +36,7 @@ from phdtrack.live.engine import UNHEALTHY, Camera, CameraSettings
 from phdtrack.live.events import Watch
 from phdtrack.live.home_assistant import HomeAssistant
 from phdtrack.live.outputs import stamp
+from phdtrack.live.zones import read_places
 from phdtrack.run import directory as rundir
 from phdtrack.run.choices import scene_settings, unused_options
 from phdtrack.run.requests import DEFAULT_DETECTOR, TrackingRequest, refuse
@@ -56,7 +57,10 @@ _PLACES = (
 _QUOTA = (
     "Keep at most so much of the rows, and of the videos, of each camera, as 20GB. Default: all."
 )
-_UNHEALTHY = "Seconds without a picture of a camera after which /healthz answers 503."
+_UNHEALTHY = (
+    "Seconds without a picture of a camera, or without a tracked one, after which /healthz answers"
+    " 503."
+)
 _HOME_ASSISTANT = (
     "Announce cameras, lines and zones to Home Assistant through the broker of --mqtt."
 )
@@ -131,9 +135,9 @@ def live(
     refuse(scoring, "a camera has no annotated truth", "phdtrack live")
     make = CameraSetup(options, tuple(scene_settings(scene)), detector, max_width, mask, learn)
     settings = make.settings()
+    addresses = _usable_sources(sources, write, out)
     known = class_names(make.new_detector(settings, max_width or 0))
     output.warn(_doubts(make, settings, write))
-    addresses = named_sources(sources)
     for url in write.webhook or []:
         Webhook(_with_secrets(url, "--webhook"))
     watchers = _Watchers(_home_assistant(write), _windows(addresses) if display else ())
@@ -216,6 +220,10 @@ def named_sources(words: Sequence[str]) -> dict[str, str]:
     for word in words:
         match = re.fullmatch(r"([A-Za-z0-9][A-Za-z0-9._-]*)=(.+)", word)
         name, address = match.groups() if match else ("", word)
+        head, _, rest = word.partition("=")
+        if not match and "://" in rest and not re.search("[:?{]", head):
+            cure = "Use letters, digits, points, hyphens and underscores, as gate=rtsp://…."
+            raise InputError(f"{head!r} is no name of a camera", where="SOURCE", cure=cure)
         check_address(address)
         name = name or named(address)
         place = resolved(address)
@@ -255,6 +263,27 @@ def _places(given: Sequence[str], name: str, out: Path) -> Path:
     if own or all_:
         return Path([*all_, *own][-1])
     return out / name / "places.toml"
+
+
+def _usable_sources(words: Sequence[str], write: LiveOptions, out: Path) -> dict[str, str]:
+    """Addresses by name, if they and their files of lines and zones can be used."""
+    found = named_sources(words)
+    check_places(write.places or [], found, out)
+    return found
+
+
+def check_places(given: Sequence[str], names: Iterable[str], out: Path) -> None:
+    """Raise `InputError` if a file of lines and zones cannot be used, or one that is asked for does
+    not exist. Later changes of it are forgiven: the places stay as they were.
+    """
+    for name in names:
+        file = _places(given, name, out)
+        usual = out / name / "places.toml"
+        if file.exists():
+            read_places(file)
+        elif file != usual:
+            cure = f"Write it, or leave --places out: the page saves what is drawn into {usual}."
+            raise InputError("there is no such file of lines and zones", where=file, cure=cure)
 
 
 def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:

@@ -169,9 +169,7 @@ class CountObserver(RunObserver):
         labels = np.unique(self._tracks.class_id).tolist()
         known = {names.get(one, str(one)) for one in labels}
         for place in self._watch.places:
-            low = np.min(place.points, axis=0)
-            high = np.max(place.points, axis=0)
-            if width and ((high < 0).any() or (low > [width, height]).any()):
+            if width and place.outside(width, height):
                 yield f"{place.name} lies outside of the frame of {width}x{height} pixels"
             if place.classes and not known & set(place.classes):
                 classes = ", ".join(sorted(known)) or "none"

@@ -33,7 +33,8 @@ from phdtrack.live.checkpoint import (
 from phdtrack.live.delivery import Courier
 from phdtrack.live.events import Event, Maps, Minute, Watch, WatchState
 from phdtrack.live.outputs import EventLog, RowsLog, SnapshotLog, VideoLog, stamp
-from phdtrack.live.zones import read_places
+from phdtrack.live.overload import Load, Overload
+from phdtrack.live.zones import place_doubts, read_places
 from phdtrack.multiclass import ClassSettings
 from phdtrack.opencv_package import cv2
 from phdtrack.report import Annotator
@@ -66,7 +67,7 @@ _UNWRITTEN = 1000
 _MEASURED = 10
 _MEASURING = 2.0
 _WATCHED = 3.0
-# Seconds without a picture after which a camera is not healthy.
+# Seconds without a picture, or a tracked one, after which a camera is not healthy.
 UNHEALTHY = 30.0
 # Seconds after a picture that failed: where all do, the processor is not for them alone; until
 # events that could not be written are tried again; for which a file must be as it is before it is
@@ -228,19 +229,19 @@ class Camera:
         self.checkpoints = Checkpoints(settings.folder, settings.checkpoint, clock)
         self.log = EventLog(settings.folder)
         self.rows = RowsLog(settings.folder / "tracks", settings.quota, parquet=settings.parquet)
-        folder = settings.folder / "video"
-        self._video = VideoLog(folder, settings.video, settings.quota) if settings.video else None
+        self._video = _video_log(settings)
         self.snapshots = SnapshotLog(settings.folder / "snapshots", settings.snapshots)
         self.watched: tuple[Watch, WatchState] = (settings.watch, settings.watch.start())
         """The settings of what is watched, and its state: who is there, and the counts."""
         # What went wrong, by what it concerns.
         self._problems = dict[str, str]()
         self.warnings = list[str]()
-        """The warnings of the tracker, of which there are few."""
+        """The warnings of the tracker and about lines and zones, of which there are few."""
         self._files_read = {
             "places": _WatchedFile(settings.places, self._places),
             "settings": _WatchedFile(settings.config, self._settings),
         }
+        self._load = Overload(clock())
         # Time from which on events that could not be written are written again.
         self._patient = 0.0
         self._stopped = threading.Event()
@@ -272,6 +273,7 @@ class Camera:
     def start(self, couriers: Sequence[Courier] = ()) -> None:
         """Begin; ``couriers`` are woken for new events."""
         self._couriers = couriers
+        self._load.tracked = self._clock()
         self._reload()
         self.source.start()
         self._thread.start()
@@ -347,6 +349,11 @@ class Camera:
         return self.alive and "frame" not in self._problems
 
     @property
+    def untracked(self) -> float:
+        """Seconds since a picture was tracked, or since it was started if none was."""
+        return self._clock() - self._load.tracked
+
+    @property
     def problems(self) -> list[str]:
         """Everything that is not as it should be, in sentences without secrets."""
         waiting = [
@@ -356,12 +363,21 @@ class Camera:
             shown(sentence)
             for sentence in (
                 *self._problems.values(),
+                self._overload(),
                 self.checkpoints.problem,
                 self.log.problem,
                 *waiting,
             )
             if sentence
         ]
+
+    def _overload(self) -> str:
+        """A sentence if most pictures of the last half minute were dropped, empty otherwise."""
+        # Those that arrive while kernels are compiled for the first one do not count.
+        if not self.frames:
+            return ""
+        status = self.source.status()
+        return self._load.update(Load(self._clock(), status.frames, status.dropped, self.frames))
 
     @property
     def left_out(self) -> DiscardedBoxes:
@@ -423,6 +439,17 @@ class Camera:
         before, state = self.watched
         watch = replace(before, places=read_places(path))
         self.watched = (watch, watch.carried(state, before))
+        self._doubt_places()
+
+    def _doubt_places(self) -> None:
+        """Warn, once, of places that count nothing."""
+        watch, _ = self.watched
+        size = None
+        if self.running is not None:
+            size = (self.running.parts.info.width, self.running.parts.info.height)
+        for sentence in place_doubts(watch.places, set(watch.names.values()), size):
+            if sentence not in self.warnings:
+                self.warnings.append(sentence)
 
     def _settings(self, path: Path) -> None:
         """Continue the tracks with other settings. Raises `InputError` for those that cannot
@@ -489,6 +516,7 @@ class Camera:
             # If this fails the next picture begins anew: a half of it would be saved as all there
             # is.
             self.running = self._begin(frame, status.fps)
+            self._doubt_places()
         running = self.running
         parts = running.parts
         frame = frame._replace(
@@ -505,6 +533,8 @@ class Camera:
             mixture = running.groups.mixture(tracked.state.intensity, step)
         self._held.append(_HeldFrame(frame, step, mixture))
         self.frames = self.frames + 1
+        self._load.tracked = self._clock()
+        self._overload()
         self._last = (frame.number, frame.time, frame.wall)
         if len(self._held) > parts.delay:
             held = self._held.popleft()
@@ -723,6 +753,13 @@ class Camera:
         self._unwritten.clear()
         for courier in self._couriers:
             courier.wake()
+
+
+def _video_log(settings: CameraSettings) -> VideoLog | None:
+    """The log of the annotated videos; None if there are none."""
+    if not settings.video:
+        return None
+    return VideoLog(settings.folder / "video", settings.video, settings.quota)
 
 
 def _annotated(running: Running, held: _HeldFrame, rows: Tracks) -> Image:

@@ -219,8 +219,8 @@ class Page:
 
 
 def live_app(cameras: Sequence[Camera], patience: float = UNHEALTHY) -> Starlette:
-    """The application, without `web.guard`. A camera without a picture for more than ``patience``
-    seconds is not healthy.
+    """The application, without `web.guard`. A camera without a picture, or without a tracked
+    one, for more than ``patience`` seconds is not healthy.
     """
     page = Page({one.name: one for one in cameras})
 
@@ -275,9 +275,13 @@ def _illness(one: Camera, patience: float) -> str:
     if not one.working:
         return "not working"
     status = one.source.status()
-    if status.state == "live" or status.since <= patience:
-        return ""
-    return f"without a picture for {status.since:.0f} s, more than {patience:g} s"
+    if status.state != "live" and status.since > patience:
+        return f"without a picture for {status.since:.0f} s, more than {patience:g} s"
+    # A camera that sends few pictures is not ill between two of them.
+    allowed = max(patience, 1.0, 3 / status.fps if status.fps else 0.0)
+    if one.untracked > allowed:
+        return f"without a tracked picture for {one.untracked:.0f} s, more than {allowed:g} s"
+    return ""
 
 
 def _state(one: Camera) -> str:

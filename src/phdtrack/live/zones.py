@@ -21,7 +21,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -37,6 +37,10 @@ ANCHORS: tuple[Anchor, ...] = ("feet", "centre")
 _SAME = 1e-3
 # Coordinates as they are written: of a line, and of a zone.
 _EXAMPLES = ("x1,y1,x2,y2", "x1,y1,x2,y2,x3,y3")
+_TABLE_EXAMPLES = {
+    "line": "points = [[x1, y1], [x2, y2]]",
+    "zone": "points = [[x1, y1], [x2, y2], [x3, y3]]",
+}
 # Points in shares of the frame's size do not exceed this number.
 _MAX_SHARE = 1.5
 
@@ -107,6 +111,12 @@ class Place:
         """
         return sum(_crossing(a, b, start, end) for a, b in self.edges)
 
+    def outside(self, width: float, height: float) -> bool:
+        """True if it lies wholly outside of a frame of this size in pixels."""
+        xs = [x for x, _ in self.points]
+        ys = [y for _, y in self.points]
+        return max(xs) < 0 or max(ys) < 0 or min(xs) > width or min(ys) > height
+
     def _holds(self, point: Point) -> bool:
         """True if the point is inside, by the even–odd rule."""
         x, y = point
@@ -134,6 +144,37 @@ def refuse_shares(places: Sequence[Place]) -> None:
                 " in shares of its size",
                 where=f"{kind} {place.name!r}",
                 cure="Multiply them by the frame's width and height.",
+            )
+
+
+def place_doubts(
+    places: Sequence[Place], names: Collection[str], size: tuple[int, int] | None = None
+) -> Iterator[str]:
+    """Sentences about places that count nothing.
+
+    Parameters
+    ----------
+    places : lines and zones.
+    names : of the detector's classes; empty if it has none.
+    size : width and height of the frame in pixels; None if they are not known yet.
+    """
+    for place in places:
+        kind = "zone" if place.closed else "line"
+        # The class of a detector without names may be asked for by its number.
+        known = names or [one for one in place.classes if one.isdecimal()]
+        if place.classes and not set(known) & set(place.classes):
+            wanted = ", ".join(place.classes)
+            if names:
+                found = "the detector has no such class"
+                cure = did_you_mean(wanted, names)
+            else:
+                found = "the detector has no class names"
+                cure = "Leave classes out, or take a detector with classes."
+            yield f"{kind} {place.name!r} counts nothing: it asks for {wanted}, and {found}. {cure}"
+        if size is not None and place.outside(*size):
+            yield (
+                f"{kind} {place.name!r} counts nothing: it lies outside of the picture of"
+                f" {size[0]}x{size[1]} pixels. Draw it anew, or correct its points."
             )
 
 
@@ -225,6 +266,10 @@ def _place(kind: str, number: int, table: Any, where: str) -> Place:
     )
     if not isinstance(points, list) or not pairs:
         raise InputError("expected points = [[x, y], [x, y], …] in pixels", where=at)
+    least = 3 if kind == "zone" else 2
+    if len(points) < least:
+        problem = f"expected at least {least} points, got {len(points)}"
+        raise InputError(problem, where=at, cure=f"Write {_TABLE_EXAMPLES[kind]}.")
     try:
         return Place(
             name,
