@@ -282,6 +282,8 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
     [
         (["missing.mp4"], "there is no such file"),
         (["a=0", "a=1"], "two sources are called a"),
+        (["a/b=http://127.0.0.1:9/x"], "'a/b' is no name of a camera"),
+        (["0", "--places", "missing.toml"], "there is no such file of lines and zones"),
         ([f"rtsp://bob:12/{SECRET}@127.0.0.1/stream"], "Write / in a password as %2F"),
         (["gate=rtsp://[::1/stream"], "this is not an address"),
         (["gate=rtsp://bob:[" + SECRET + "]@127.0.0.1/x"], "this is not an address"),
