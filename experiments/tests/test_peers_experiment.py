@@ -54,7 +54,7 @@ def outcome(found: int, frames: int = 10) -> peers.PeerScores:
         )
         return evaluate(truth(frames), tracks, frames=frames)
 
-    return peers.PeerScores(scores(found // 2), scores(found), 0.5)
+    return peers.PeerScores(scores(found // 2), scores(found))
 
 
 @pytest.fixture
