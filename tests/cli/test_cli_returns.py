@@ -174,4 +174,4 @@ def test_limit_is_in_seconds(files: tuple[Path, Path], tmp_path: Path) -> None:
 def test_commands_that_track_have_the_limit(command: str) -> None:
     said = CliRunner().invoke(application(command), [command, "--help"])
     text = " ".join(said.stdout.split())
-    assert "--reidentify-within S Seconds within which a lost object" in text
+    assert "--reidentify-within S With --appearance: seconds within which a lost object" in text

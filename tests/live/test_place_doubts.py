@@ -71,7 +71,9 @@ def test_a_missing_or_broken_file_of_places_is_refused(tmp_path: Path) -> None:
     missing = tmp_path / "missing.toml"
     with pytest.raises(InputError, match="there is no such file of lines and zones") as found:
         check_places([str(missing)], ["gate"], tmp_path)
-    assert f"the page saves what is drawn into {tmp_path / 'gate' / 'places.toml'}" in str(found)
+    assert f"the page saves what is drawn into {tmp_path / 'gate' / 'places.toml'}" in str(
+        found.value
+    )
     with pytest.raises(InputError, match="no such file"):
         check_places([f"gate={missing}"], ["yard", "gate"], tmp_path)
     # The usual file is made by the page.
