@@ -28,8 +28,11 @@ from phdtrack.errors import InputError
 
 # Lines of a difference that are printed.
 _SHOWN = 6
-# What headings of sections and columns, and lines, have that tell how long something took.
-_OF_TIMES = re.compile(r"\b(ms|µs|time)\b")
+# Sections, columns and lines that tell how long something took; a line that is missed here leaves a
+# page old.
+_SECTION_OF_TIMES = re.compile(r"#+ Time( per frame)?$")
+_COLUMN_OF_TIMES = re.compile(r"\bms\b")
+_LINE_OF_TIMES = re.compile(r"\b(ms|filter time|less time)\b|\| time:")
 _DIGITS = re.compile(r"\d+")
 # Commits that changed a file, the newest first, among which its state is looked for.
 _SEARCHED = 60
@@ -176,14 +179,14 @@ def _figures(page: Path) -> list[str]:
     skipped = in_table = False
     for line in page.read_text(encoding="utf-8").splitlines():
         if line.startswith("#"):
-            skipped = bool(_OF_TIMES.search(line.lower()))
+            skipped = bool(_SECTION_OF_TIMES.match(line))
         if skipped or line.startswith("Made by `"):
             continue
         cells = line.split("|")
         if len(cells) > 1 and not in_table:
-            timed = frozenset(k for k, cell in enumerate(cells) if _OF_TIMES.search(cell))
+            timed = frozenset(k for k, cell in enumerate(cells) if _COLUMN_OF_TIMES.search(cell))
         in_table = len(cells) > 1
         kept = ["" if in_table and k in timed else cell for k, cell in enumerate(cells)]
         figure = "|".join(kept)
-        figures.append(_DIGITS.sub("", figure) if _OF_TIMES.search(figure) else figure)
+        figures.append(_DIGITS.sub("", figure) if _LINE_OF_TIMES.search(figure) else figure)
     return figures

@@ -170,5 +170,14 @@ def test_names_may_be_a_table_by_number():
     assert by_number.classes.only == (2,)
     words = Tracker(SIZE, classes={"names": {"1": "car", "0": "person"}})
     assert words.classes.names == {0: "person", 1: "car"}
-    with pytest.raises(InputError, match="there is no class names"):
-        Tracker(SIZE, classes={"names": {"min_score": 0.3}})
+    for no_names in ({"min_score": 0.3}, {-1: "person"}, {0: 5}):
+        with pytest.raises(InputError, match=r"classes\.names: input should be a valid"):
+            Tracker(SIZE, classes={"names": no_names})
+
+
+def test_a_class_may_be_called_by_its_number():
+    tracker = Tracker(SIZE, classes={0: {"min_size": 20}, "2": {"min_score": 0.3}})
+    assert tracker.classes.least == {0: (-np.inf, 20.0), 2: (0.3, 0.0)}
+    for table in ({"only": {0: "car"}}, {"together": {0: ["car"]}}):
+        with pytest.raises(InputError, match="input should be a valid tuple"):
+            Tracker(SIZE, classes=table)

@@ -523,7 +523,7 @@ LOADED = """
 import sys
 import numpy as np
 from numba.core import event
-from phdtrack import Tracker
+from phdtrack import Detections, Tracker
 from tracker_cases import SIZE, street
 
 tracker, frames = Tracker(SIZE, filter=sys.argv[1]), street()
@@ -536,6 +536,7 @@ with event.install_recorder("numba:compiler_lock") as taken:
     # A camera that moves, and a crowd in one place: seldom, and hours after the beginning.
     tracker.update(frames[0], warp=[[1, 0, -3], [0, 1, 2]])
     tracker.update(np.repeat([[300.0, 100, 340, 200]], 500, axis=0))
+    tracker.update(Detections.empty(observed=False))
     tracker.tracks()
 print(len(taken.buffer))
 """

@@ -102,11 +102,9 @@ Costs are {1} times those of before.
 |---|---|
 | a | {0} |
 
-## Count
+## Groups over time
 
-| case | error |
-|---|---|
-| a | {1} |
+The first time {1} are found.
 """
     shown = []
     for name, numbers in {"one": (1, 2), "slow": (9, 2), "other": (1, 3)}.items():

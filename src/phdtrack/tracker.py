@@ -397,6 +397,9 @@ class Tracker:
         shift = np.array([[1.0, 0.0, 4.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         with uninterrupted(), suppress(InputError):
             pipelines.advance(found, 26, 26 / self.fps, shift)
+        # A frame in which no detector runs.
+        with uninterrupted():
+            pipelines.advance(Detections.empty(observed=False), 27, 27 / self.fps)
         pipelines.flush()
         pipelines.finish()
         Colours().describe(np.zeros((64, 64, 3), np.uint8), np.array([[8.0, 8.0, 24.0, 56.0]]))

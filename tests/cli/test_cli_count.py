@@ -180,8 +180,8 @@ def test_places_in_a_file_and_what_looks_like_a_mistake(run: Path, tmp_path: Pat
     said = phdtrack(
         "count", run / "out", "--places", places, "--zone", ZONE, "--out", tmp_path / "c", "--video"
     )
-    assert "far lies outside of the frame of 320x240 pixels" in said.err
-    assert "far counts car, and the tracks have the classes 0" in said.err
+    assert "line 'far' counts nothing: it lies outside of the picture of 320x240" in said.err
+    assert "it asks for car, and the tracks have no such class. There are 0." in said.err
     assert (tmp_path / "c" / "counts.mp4").exists()
     assert said.out.count("counts.mp4") == 1
 

@@ -38,7 +38,7 @@ def test_classes_need_a_detector_that_names_them() -> None:
 
 def test_a_place_outside_of_the_picture_is_named() -> None:
     assert list(place_doubts((FAR,), (), (160, 120))) == [OUTSIDE]
-    assert list(place_doubts((FAR,), (), None)) == []
+    assert list(place_doubts((FAR,), ())) == []
     edge = Place("edge", ((150.0, 60.0), (300.0, 60.0)), closed=False)
     assert list(place_doubts((edge,), (), (160, 120))) == []
 

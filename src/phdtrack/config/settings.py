@@ -266,8 +266,11 @@ def _entries(sections: Mapping[str, Any], where: str) -> list[_Entry]:
             raise InputError(
                 f"expected a section [{section}] with names and values, got {values!r}", where=where
             )
-        if section == "classes" and "names" in values:
-            values = {**values, "names": _in_order(values["names"])}
+        if section == "classes":
+            # A class may be called by its number, and have its settings as a table.
+            values = {str(name): value for name, value in values.items()}
+            if "names" in values:
+                values["names"] = _in_order(values["names"])
         entries += [_Entry(section, name, value, where) for name, value in values.items()]
     return entries
 
@@ -322,7 +325,8 @@ def _state(settings: Settings, given: dict[str, Values], entry: _Entry) -> None:
     if section in _CHECKED_BY_PART:
         values[key] = value
         return
-    if section == "classes" and isinstance(value, Mapping):
+    own = key not in settable(section, settings.kind(section))
+    if section == "classes" and own and isinstance(value, Mapping):
         values[key] = _merged(values.get(key), value)
         return
     value = _checked(settings, entry)

@@ -359,9 +359,9 @@ def sizes_warning(found: Detections) -> str:
         return ""
     return (
         f"{wrong} of {len(found)} boxes end before they begin: boxes must be left, top, right,"
-        " bottom, and these look like left, top, width, height (boxes[:, 2:] += boxes[:, :2]"
-        " converts them) or centre, width, height (boxes[:, :2] -= boxes[:, 2:] / 2 comes before"
-        " that; of Ultralytics pass the result, or its boxes.xyxy)"
+        " bottom. If these are left, top, width, height, say boxes[:, 2:] += boxes[:, :2]; if they"
+        " are centre, width, height, say boxes[:, :2] -= boxes[:, 2:] / 2 before that. A result of"
+        " Ultralytics can be passed as it is"
     )
 
 

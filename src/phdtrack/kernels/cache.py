@@ -31,9 +31,9 @@ from phdtrack.kernels.second_compiler import SECOND
 
 _LOG = logging.getLogger(__name__)
 _COMPILING = (
-    "phdtrack compiles its kernels (half a minute or more; what is used for the first time later,"
-    " such as corrected tracks, is compiled then. They are kept on this machine for the next runs;"
-    " `phdtrack warm-up`, or warm_up() of a Tracker, compiles all before the first frame) ..."
+    "phdtrack compiles its kernels, in half a minute or more, and keeps them for the next runs on"
+    " this machine. What is first used later, such as corrected tracks, is compiled then. `phdtrack"
+    " warm-up`, or warm_up() of a Tracker, compiles all before the first frame ..."
 )
 _ALWAYS_COMPILING = (
     "phdtrack compiles its kernels (half a minute or more, and so in every run: neither the"

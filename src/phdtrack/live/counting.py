@@ -20,7 +20,7 @@ from phdtrack.files import whole, write_text
 from phdtrack.formats.write import Lines
 from phdtrack.live.events import Event, Tally, Watch, place_events, tallies
 from phdtrack.live.flows import Flow, Passages, flows, flows_csv, passages, passages_csv, stays
-from phdtrack.live.zones import Place
+from phdtrack.live.zones import Place, place_doubts
 from phdtrack.opencv_package import cv2
 from phdtrack.report import Annotator
 from phdtrack.report.drawing import draw_plates
@@ -163,20 +163,11 @@ class CountObserver(RunObserver):
 
     def doubts(self) -> Iterator[str]:
         """Sentences about likely mistakes in the lines and zones."""
-        width = self._info.width
-        height = self._info.height
         names = self._watch.names
         labels = np.unique(self._tracks.class_id).tolist()
         known = {names.get(one, str(one)) for one in labels}
-        for place in self._watch.places:
-            if width and place.outside(width, height):
-                yield f"{place.name} lies outside of the frame of {width}x{height} pixels"
-            if place.classes and not known & set(place.classes):
-                classes = ", ".join(sorted(known)) or "none"
-                yield (
-                    f"{place.name} counts {', '.join(place.classes)}, and the tracks have the"
-                    f" classes {classes}"
-                )
+        size = (self._info.width, self._info.height)
+        return place_doubts(self._watch.places, sorted(known), size, "the tracks have")
 
     @property
     def pictures(self) -> bool:

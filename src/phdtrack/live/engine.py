@@ -444,7 +444,7 @@ class Camera:
     def _doubt_places(self) -> None:
         """Warn, once, of places that count nothing."""
         watch, _ = self.watched
-        size = None
+        size = (0, 0)
         if self.running is not None:
             size = (self.running.parts.info.width, self.running.parts.info.height)
         for sentence in place_doubts(watch.places, set(watch.names.values()), size):

@@ -148,15 +148,19 @@ def refuse_shares(places: Sequence[Place]) -> None:
 
 
 def place_doubts(
-    places: Sequence[Place], names: Collection[str], size: tuple[int, int] | None = None
+    places: Sequence[Place],
+    names: Collection[str],
+    size: tuple[int, int] = (0, 0),
+    those_have: str = "the detector has",
 ) -> Iterator[str]:
     """Sentences about places that count nothing.
 
     Parameters
     ----------
     places : lines and zones.
-    names : of the detector's classes; empty if it has none.
-    size : width and height of the frame in pixels; None if they are not known yet.
+    names : of the classes that there are; empty if none has a name.
+    size : width and height of the frame in pixels; 0 if they are not known.
+    those_have : who has these classes, for the sentences.
     """
     for place in places:
         kind = "zone" if place.closed else "line"
@@ -165,13 +169,16 @@ def place_doubts(
         if place.classes and not set(known) & set(place.classes):
             wanted = ", ".join(place.classes)
             if names:
-                found = "the detector has no such class"
+                absent = "no such class"
                 cure = did_you_mean(wanted, names)
             else:
-                found = "the detector has no class names"
+                absent = "no class names"
                 cure = "Leave classes out, or take a detector with classes."
-            yield f"{kind} {place.name!r} counts nothing: it asks for {wanted}, and {found}. {cure}"
-        if size is not None and place.outside(*size):
+            yield (
+                f"{kind} {place.name!r} counts nothing: it asks for {wanted}, and {those_have}"
+                f" {absent}. {cure}"
+            )
+        if size[0] and place.outside(*size):
             yield (
                 f"{kind} {place.name!r} counts nothing: it lies outside of the picture of"
                 f" {size[0]}x{size[1]} pixels. Draw it anew, or correct its points."

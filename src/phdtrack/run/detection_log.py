@@ -35,7 +35,7 @@ from phdtrack.errors import InputError
 from phdtrack.files import cannot_write, json_value, part_of, publish, whole
 from phdtrack.run.camera_motion import Mover
 from phdtrack.run.directory import DETECTED, KNOWN, LOG, RunDirectory
-from phdtrack.run.inputs import Inputs, Watch, study_scene
+from phdtrack.run.inputs import Inputs, Watch, study_scene, unwatched
 from phdtrack.run.loop import NO_PICTURE, DetectedFrame, detect_frames
 from phdtrack.run.pipeline_threads import ahead
 from phdtrack.state import blocks, from_bytes, to_bytes
@@ -121,7 +121,7 @@ class DetectionLog:
 
     @contextmanager
     def detected_frames(
-        self, inputs: Inputs, mover: Mover | None = None, watch: Watch | None = None
+        self, inputs: Inputs, mover: Mover | None = None, watch: Watch = unwatched
     ) -> Iterator[Iterator[DetectedFrame]]:
         """Every frame with its detections, as `inputs.detected_frames`; those before the
         checkpoint, or all that an earlier run detected, are read from the log.
@@ -130,7 +130,7 @@ class DetectionLog:
         ----------
         inputs : frames and detector.
         mover : the camera's motion; None for a camera that stands still.
-        watch : as `study_scene` takes it; None to watch nothing.
+        watch : as `study_scene` takes it.
         """
         source: Iterable[Frame] = inputs.source
         if not self.reused:
@@ -146,7 +146,7 @@ class DetectionLog:
         inputs: Inputs,
         frames: Iterator[Frame],
         mover: Mover | None = None,
-        watch: Watch | None = None,
+        watch: Watch = unwatched,
     ) -> Iterator[DetectedFrame]:
         """Each frame with its detections, from the log, or from the detector into the log.
 
@@ -160,10 +160,7 @@ class DetectionLog:
         if self.reused:
             yield from self._reused(inputs, frames, mover)
             return
-        if watch is None:
-            study_scene(inputs)
-        else:
-            study_scene(inputs, watch)
+        study_scene(inputs, watch)
         if checkpoint is not None:
             yield from self._logged(inputs, frames, mover, checkpoint)
         with self._log.open("r+b" if checkpoint else "wb", buffering=0) as log:

@@ -124,11 +124,11 @@ Watch = Callable[[int, int], None]
 """Takes the number of frames that were read of so many, 0 if that is unknown."""
 
 
-def _unwatched(done: int, total: int) -> None:
+def unwatched(done: int, total: int) -> None:
     """Watch nothing."""
 
 
-def study_scene(inputs: Inputs, watch: Watch = _unwatched) -> None:
+def study_scene(inputs: Inputs, watch: Watch = unwatched) -> None:
     """Let a detector that learns the scene study a file before its first frame: all of it,
     whatever part is tracked.
 
@@ -168,7 +168,7 @@ def _load_first_kernel() -> None:
 
 @contextmanager
 def detected_frames(
-    inputs: Inputs, mover: Mover | None = None, watch: Watch = _unwatched
+    inputs: Inputs, mover: Mover | None = None, watch: Watch = unwatched
 ) -> Iterator[Iterator[DetectedFrame]]:
     """Every frame with its detections; decoding and detecting overlap with what follows.
 
